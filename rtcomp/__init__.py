@@ -1,0 +1,3 @@
+"""Streaming real-time gyro compensation: CAN frames in, corrected rates out."""
+
+__version__ = "0.1.0"
