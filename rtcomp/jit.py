@@ -1,8 +1,8 @@
 """The one jit policy of the project.
 
-`cache` because a vehicle must not compile at every start; `nogil` because receiving and correcting run beside
+`cache`, because a vehicle must not compile at every start; `nogil`, because receiving and correcting run beside
 the publisher; no `fastmath`, because live, replay and offline must agree in every bit; the `numpy` error model,
-because a division by zero has to give a flagged non-finite number and not a raised exception inside the loop.
+because a division by zero has to give a flagged non-finite number and not an exception inside the loop.
 Tests run once more with `NUMBA_DISABLE_JIT=1`: kernels stay plain Python that numpy can execute.
 """
 
@@ -12,10 +12,14 @@ import numba
 
 
 def kernel(function: Any) -> Any:
-    """Compile `function` under the project's policy (lazily, at its first call)."""
+    """Compile `function` lazily, at its first call; it may create arrays."""
     return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
 
 
-def inlined(function: Any) -> Any:
-    """Like `kernel`, for small helpers that are to be inlined into the kernel that calls them."""
-    return numba.njit(cache=True, nogil=True, error_model="numpy", inline="never")(function)
+def hot_kernel(function: Any) -> Any:
+    """Compile a function of the way from frame to corrected sample; it must not create arrays.
+
+    Model and state are tuples of arrays. Without numba's runtime (`_nrt=False`) no reference is counted to each of
+    them at every call, which measured 730 ns a sample against 76 ns; the option also refuses any allocation there.
+    """
+    return numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True, _nrt=False)(function)

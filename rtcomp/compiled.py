@@ -1,0 +1,171 @@
+"""Model files turned into the arrays that the compiled step reads."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rtcomp.model import INPUTS, MAX_INPUTS, Model, OpenLoopSine, Polynomial, ResidualTable
+from rtcomp.terms import DRIVERS, EMPIRICAL, PPM, TERMS, parameter_row
+
+N_INPUTS = len(INPUTS)
+TEMP, RATE, COIL, TEMP_RATE, LAG_TEMP, TIME = range(N_INPUTS)
+FILTER_TAU_S = {"temp_rate_degC_per_s": 60.0, "lag_temp_degC": 300.0}
+NO_BASE, SINE, POLYNOMIAL = range(3)
+PARAMETERS, TERM_STATES = 8, 4
+DYNAMIC = {"thermal_lag", "shupe", "scale_temperature_rate"}
+TIMED = {"bias_warmup", "scale_warmup", "bias_drift", "source_ageing"}
+SETTLE_TAUS = 5.0  # e⁻⁵ < 1 % of an unknown start is left
+
+
+class Compiled(NamedTuple):
+    """A stack of models, its parts added up; group g is one model file. All arrays contiguous."""
+
+    group_inputs: np.ndarray  # int64 (groups, MAX_INPUTS): index into INPUTS, −1 when unused
+    group_size: np.ndarray  # int64 (groups): how many inputs its rules take
+    rule_start: np.ndarray  # int64 (groups + 1)
+    centers: np.ndarray  # float64 (rules, MAX_INPUTS)
+    inverse_widths: np.ndarray  # float64 (rules, MAX_INPUTS)
+    consequents: np.ndarray  # float64 (rules, MAX_INPUTS + 1), the constant first
+    base_kind: np.ndarray  # int64 (groups)
+    base: np.ndarray  # float64 (groups, PARAMETERS)
+    validity: np.ndarray  # float64 (groups, N_INPUTS, 2)
+    filter_tau_s: np.ndarray  # float64 (groups, 2): of TEMP_RATE and LAG_TEMP
+    term_kind: np.ndarray  # int64 (terms)
+    term_group: np.ndarray  # int64 (terms)
+    term: np.ndarray  # float64 (terms, PARAMETERS)
+    table: np.ndarray  # float64 flat: polynomials, knots and values, residual regions
+    sigma: np.ndarray  # int64 (3): offset into table, temperature regions, rate regions
+    needs: np.ndarray  # int64 (3): temperature, coil temperature, time since power-on
+    settle_s: float  # how long an unknown thermal state matters
+
+
+def compile_models(models: Sequence[Model]) -> Compiled:
+    """Compile one model, or a stack whose predictions add up (an empty one predicts 0).
+
+    The last model that states a residual standard deviation tells the stack's.
+    """
+    table: list[float] = []
+    groups = len(models)
+    inputs = np.full((groups, MAX_INPUTS), -1, np.int64)
+    for g, model in enumerate(models):
+        inputs[g, : len(model.inputs)] = [INPUTS.index(name) for name in model.inputs]
+    bases = [_base(model, table) for model in models]
+    terms = [(TERMS[t.effect].code, g, _term_row(t, table)) for g, m in enumerate(models) for t in m.terms]
+    sigma = _sigma(models, table)
+    counts = [len(model.rules.centers) for model in models]
+    return Compiled(
+        inputs,
+        np.array([len(m.inputs) for m in models], np.int64),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        _rows([row for m in models for row in m.rules.centers], MAX_INPUTS, 0.0),
+        1.0 / _rows([row for m in models for row in m.rules.widths], MAX_INPUTS, np.inf),
+        _rows([row for m in models for row in m.rules.consequents], MAX_INPUTS + 1, 0.0),
+        np.array([kind for kind, _ in bases], np.int64),
+        _rows([row for _, row in bases], PARAMETERS, 0.0),
+        _validity(models),
+        _filters(models),
+        np.array([kind for kind, _, _ in terms], np.int64),
+        np.array([g for _, g, _ in terms], np.int64),
+        _rows([row for _, _, row in terms], PARAMETERS, 0.0),
+        np.array(table, np.float64),
+        sigma,
+        _needs(models),
+        SETTLE_TAUS * max((_slowest(m) for m in models), default=0.0),
+    )
+
+
+def _rows(rows: list[list[float]], width: int, fill: float) -> np.ndarray:
+    array = np.full((len(rows), width), fill, np.float64)
+    for target, row in zip(array, rows, strict=True):
+        target[: len(row)] = row
+    return array
+
+
+def _base(model: Model, table: list[float]) -> tuple[int, list[float]]:
+    base = model.base
+    if isinstance(base, OpenLoopSine):
+        return SINE, [base.K0_s, base.alpha_per_K, base.g0, base.g1_per_K, base.g2_per_K2, base.ref_degC]
+    if isinstance(base, Polynomial):
+        rows, columns = len(base.coefficients), max(len(row) for row in base.coefficients)
+        offset = len(table)
+        table.extend(_rows(base.coefficients, columns, 0.0).ravel())
+        return POLYNOMIAL, [base.ref_degC, offset, rows, columns]
+    return NO_BASE, []
+
+
+def _term_row(term: Any, table: list[float]) -> list[float]:
+    if TERMS[term.effect].code != EMPIRICAL:
+        return parameter_row(term.effect, term.parameters)
+    parameters = term.parameters
+    times_rate = bool(parameters.get("times_rate", 0.0))
+    offset, count = len(table), len(parameters["knots"])
+    table.extend(float(x) for x in parameters["knots"])
+    table.extend(float(x) * (PPM if times_rate else 1.0) for x in parameters["values"])
+    driver = DRIVERS.index(parameters["driver"])
+    return [driver, offset, count, float(times_rate), parameters.get("tau_s", 60.0)]
+
+
+def _sigma(models: Sequence[Model], table: list[float]) -> np.ndarray:
+    stated = [m.residual_std_dps for m in models if m.residual_std_dps is not None]
+    offset = len(table)
+    if not stated:
+        table.append(np.nan)
+        return np.array([offset, 0, 0], np.int64)
+    residual = stated[-1]
+    if not isinstance(residual, ResidualTable):
+        table.append(residual)
+        return np.array([offset, 0, 0], np.int64)
+    for part in (residual.temp_degC, residual.rate_dps, *residual.std_dps):
+        table.extend(part)
+    return np.array([offset, len(residual.temp_degC) - 1, len(residual.rate_dps) - 1], np.int64)
+
+
+def _validity(models: Sequence[Model]) -> np.ndarray:
+    limits = np.tile(np.array([-np.inf, np.inf]), (len(models), N_INPUTS, 1))
+    for g, model in enumerate(models):
+        for name, pair in model.validity.items():
+            limits[g, INPUTS.index(name)] = pair
+    return limits
+
+
+def _filters(models: Sequence[Model]) -> np.ndarray:
+    taus = [[m.filters.get(name, default) for name, default in FILTER_TAU_S.items()] for m in models]
+    return np.array(taus, np.float64).reshape(len(models), 2)
+
+
+def _uses(model: Model) -> set[str]:
+    """Inputs the model's rules, base and terms depend on."""
+    used = set(model.inputs) if model.rules.centers else set()
+    if model.base is not None:
+        used |= {"temp_degC", "rate_dps"}
+    for term in model.terms:
+        used |= _term_uses(term)
+    return used
+
+
+def _term_uses(term: Any) -> set[str]:
+    if term.effect in TIMED or term.parameters.get("driver") == "time_since_power_on":
+        return {"time_since_power_on_s"}
+    if term.effect in {"scale_asymmetry", "scale_error", "bias_error", "unit_error"}:
+        return {"rate_dps"}
+    if term.effect == "scale_nonlinearity" and not term.parameters.get("c3h_per_dps2_per_K"):
+        return {"rate_dps"}
+    return {"rate_dps"} if term.parameters.get("driver") == "rate" else {"temp_degC"}
+
+
+def _needs(models: Sequence[Model]) -> np.ndarray:
+    used = set().union(*(_uses(model) for model in models)) if models else set()
+    temperature = used & {"temp_degC", "temp_rate_degC_per_s", "lag_temp_degC"}
+    return np.array([bool(temperature), "coil_temp_degC" in used, "time_since_power_on_s" in used], np.int64)
+
+
+def _slowest(model: Model) -> float:
+    """The longest memory [s] of a temperature long past."""
+    taus = [0.0]
+    for term in model.terms:
+        if term.effect in DYNAMIC or term.parameters.get("driver") == "temperature_rate":
+            taus += [float(term.parameters.get(name, 0.0)) for name in ("tau_s", "tau2_s", "smooth_s")]
+    if model.rules.centers:
+        taus += [model.filters.get(name, FILTER_TAU_S[name]) for name in model.inputs if name in FILTER_TAU_S]
+    return max(taus)

@@ -1,0 +1,283 @@
+"""The model file: strict JSON, versioned, sealed by a hash, never a pickle (layout: `Model`)."""
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from rtcomp.errors import RequestError
+
+SCHEMA = "rtcomp.model/1"
+INPUTS = (
+    "temp_degC",
+    "rate_dps",
+    "coil_temp_degC",
+    "temp_rate_degC_per_s",
+    "lag_temp_degC",
+    "time_since_power_on_s",
+)
+"""What a rule may depend on, in the order in which the compiled step holds them."""
+MAX_INPUTS = 4
+MAX_RULES = 1024
+MAX_BYTES = 16 * 2**20
+NOT_HASHED = ("sha256", "signature")
+
+
+class Strict(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Base of every part: unknown keys are refused."""
+
+
+class Rules(Strict):
+    """TS rules (PAPER eqs. 1, 2, 9-11): `centers` and `widths` (σ) c × n, `consequents` c × (n + 1)."""
+
+    centers: list[list[float]] = []
+    widths: list[list[float]] = []
+    consequents: list[list[float]] = []
+
+
+class OpenLoopSine(Strict, tag="open_loop_sine", tag_field="kind"):
+    """m = G sin(K ω)/K0 with K = K0 (1 + αh), G = 1 + g0 + g1 h + g2 h², h = T − ref; ω in rad/s inside."""
+
+    K0_s: float
+    alpha_per_K: float = 0.0
+    g0: float = 0.0
+    g1_per_K: float = 0.0
+    g2_per_K2: float = 0.0
+    ref_degC: float = 25.0
+
+
+class Polynomial(Strict, tag="polynomial", tag_field="kind"):
+    """Error = Σ c[i][j] hⁱ mʲ with h = T − ref and m the measured rate [°/s]."""
+
+    coefficients: list[list[float]]
+    ref_degC: float = 25.0
+
+
+class Term(Strict):
+    """One dynamic effect; names, units and equations of its parameters are in `rtcomp.terms`."""
+
+    effect: str
+    parameters: dict[str, bool | float | list[float] | str]
+
+
+class ResidualTable(Strict):
+    """Residual standard deviation [°/s] per region: edges of temperature and rate, `std_dps` rows by temperature."""
+
+    temp_degC: list[float]
+    rate_dps: list[float]
+    std_dps: list[list[float]]
+
+
+class Model(Strict):
+    """A model file. Predicted error = base + TS part + terms [°/s]; corrected = raw − predicted."""
+
+    schema: Literal["rtcomp.model/1"]
+    inputs: list[str]
+    rules: Rules
+    base: OpenLoopSine | Polynomial | None = None
+    terms: list[Term] = []
+    validity: dict[str, tuple[float, float]] = {}
+    residual_std_dps: float | ResidualTable | None = None
+    sensor: str | None = None
+    provenance: dict[str, Any] = {}
+    filters: dict[str, float] = {}
+    signature: str | None = None
+    sha256: str | None = None
+
+
+def new_model(**fields: Any) -> Model:
+    """Make a checked model from its fields; `schema` is filled in.
+
+    Raises RequestError on anything a model file would be refused for.
+    """
+    model = Model(**({"schema": SCHEMA, "inputs": [], "rules": Rules()} | fields))
+    return parse_model(json.dumps(msgspec.to_builtins(model)), "model")
+
+
+def load_model(path: str | Path) -> Model:
+    """Read and check a model file.
+
+    Raises RequestError naming the file and the reason.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise RequestError(f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RequestError(f"cannot read model {path}: {error.strerror}; give the path of a model file") from error
+    except UnicodeDecodeError as error:
+        raise RequestError(f"{path}: not UTF-8 text; a model file is JSON (see `rtcomp train`)") from error
+    return parse_model(text, str(path))
+
+
+def parse_model(text: str, name: str) -> Model:
+    """Check the text of a model file; `name` goes into messages."""
+    document = _parse_json(text, name)
+    version = document.get("schema")
+    if version != SCHEMA:
+        raise RequestError(f"{name}: schema is {version!r}, this version reads {SCHEMA!r}; train it again")
+    try:
+        model = msgspec.convert(document, Model)
+    except msgspec.ValidationError as error:
+        raise RequestError(f"{name}: {error}; see the model file's layout in the README") from error
+    if model.sha256 is not None and model.sha256 != document_hash(document):
+        raise RequestError(
+            f"{name}: sha256 does not match its contents, the file was changed after sealing; "
+            f"restore it, or `rtcomp model {name} --seal` if the change is meant"
+        )
+    _check(model, name)
+    return model
+
+
+def document_hash(document: dict[str, Any]) -> str:
+    """SHA-256 over the canonical JSON (sorted keys, no spaces, ASCII) without `sha256` and `signature`."""
+    return hashlib.sha256(canonical(document)).hexdigest()
+
+
+def canonical(document: dict[str, Any]) -> bytes:
+    """The bytes that are hashed and signed."""
+    kept = {key: value for key, value in document.items() if key not in NOT_HASHED}
+    return json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def model_document(model: Model) -> dict[str, Any]:
+    """The model as plain JSON values, sealed with its hash."""
+    document = msgspec.to_builtins(model)
+    if document["signature"] is None:
+        del document["signature"]
+    return document | {"sha256": document_hash(document)}
+
+
+def save_model(model: Model, path: str | Path) -> None:
+    """Seal the model and write it atomically."""
+    write_document(model_document(model), path)
+
+
+def write_document(document: dict[str, Any], path: str | Path) -> None:
+    """Write a JSON document: whole or not at all."""
+    write_atomically(path, (json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+
+
+def write_atomically(path: str | Path, content: bytes) -> None:
+    """Write a file so that a reader sees the old one or the new one, whole.
+
+    Raises RequestError when the folder cannot be written to.
+    """
+    path = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise RequestError(f"cannot write {path}: {error.strerror}; give a file in a folder that exists") from error
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise RequestError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _parse_json(text: str, name: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"{name}: not a model file: {error}") from error
+    if not isinstance(document, dict):
+        raise RequestError(f"{name}: got a JSON {type(document).__name__}, wanted an object with schema {SCHEMA!r}")
+    return document
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return document
+
+
+def _refuse_constant(constant: str) -> None:
+    raise ValueError(f"{constant} is not a finite number")
+
+
+def _check(model: Model, name: str) -> None:
+    """What a type cannot say: finite numbers, shapes, known names."""
+    from rtcomp.terms import check_term
+
+    _check_finite(msgspec.to_builtins(model), name)
+    _check_inputs(model, name)
+    _check_rules(model, name)
+    _check_validity(model, name)
+    _check_residual(model, name)
+    for term in model.terms:
+        check_term(term.effect, term.parameters, name)
+
+
+def _check_finite(value: Any, where: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise RequestError(f"{where}: {value} is not a finite number; every number of a model is finite")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _check_finite(item, f"{where}: {key}")
+    elif isinstance(value, list | tuple):
+        for item in value:
+            _check_finite(item, where)
+
+
+def _check_inputs(model: Model, name: str) -> None:
+    unknown = [item for item in (*model.inputs, *model.validity, *model.filters) if item not in INPUTS]
+    if unknown:
+        raise RequestError(f"{name}: unknown input {unknown[0]!r}; known are {', '.join(INPUTS)}")
+    if len(set(model.inputs)) != len(model.inputs):
+        raise RequestError(f"{name}: an input is named twice in {model.inputs}")
+    if model.rules.centers and not 1 <= len(model.inputs) <= MAX_INPUTS:
+        raise RequestError(f"{name}: {len(model.inputs)} inputs; rules take 1 to {MAX_INPUTS}")
+    if any(tau <= 0 for tau in model.filters.values()):
+        raise RequestError(f"{name}: a filter's time constant must be above 0 s, got {model.filters}")
+
+
+def _check_rules(model: Model, name: str) -> None:
+    rules, n = model.rules, len(model.inputs)
+    count = len(rules.centers)
+    if count > MAX_RULES:
+        raise RequestError(f"{name}: {count} rules; at most {MAX_RULES}")
+    for key, columns in (("centers", n), ("widths", n), ("consequents", n + 1)):
+        rows = getattr(rules, key)
+        shape = (len(rows), sorted({len(row) for row in rows}))
+        if len(rows) != count or any(len(row) != columns for row in rows):
+            raise RequestError(f"{name}: rules.{key} has {shape[0]} rows of {shape[1]}, wanted {count} of {columns}")
+    if any(width <= 0 for row in rules.widths for width in row):
+        raise RequestError(f"{name}: rules.widths must all be above 0")
+
+
+def _check_validity(model: Model, name: str) -> None:
+    for key, (low, high) in model.validity.items():
+        if low > high:
+            raise RequestError(f"{name}: validity.{key} is [{low}, {high}]; low must not exceed high")
+
+
+def _check_residual(model: Model, name: str) -> None:
+    residual = model.residual_std_dps
+    if isinstance(residual, float) and residual < 0:
+        raise RequestError(f"{name}: residual_std_dps is {residual}; a standard deviation is not negative")
+    if not isinstance(residual, ResidualTable):
+        return
+    rows, columns = len(residual.temp_degC) - 1, len(residual.rate_dps) - 1
+    if rows < 1 or columns < 1 or len(residual.std_dps) != rows or any(len(r) != columns for r in residual.std_dps):
+        raise RequestError(f"{name}: residual_std_dps.std_dps must have {rows} rows of {columns}: one per region")
+    for edges in (residual.temp_degC, residual.rate_dps):
+        if any(b <= a for a, b in zip(edges, edges[1:], strict=False)):
+            raise RequestError(f"{name}: residual_std_dps: edges must rise, got {edges}")

@@ -1,0 +1,368 @@
+"""The compiled step: a temperature in, a rate in, the predicted error out, with explicit state.
+
+When to call what: `thermal_update` at every valid temperature (time in ns, °C), `predict_error` at every rate
+(°/s in, predicted error in °/s out). The thermal states move only with temperatures, exactly for a temperature
+linear in time between two of them; gaps and uneven sampling are in the times themselves.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rtcomp.compiled import (
+    COIL,
+    LAG_TEMP,
+    N_INPUTS,
+    POLYNOMIAL,
+    RATE,
+    SINE,
+    TEMP,
+    TEMP_RATE,
+    TERM_STATES,
+    TIME,
+    Compiled,
+)
+from rtcomp.frames import Flag
+from rtcomp.jit import hot_kernel
+from rtcomp.terms import (
+    AGEING,
+    ASYMMETRY,
+    BIAS,
+    BIAS_PLAY,
+    BIAS_T,
+    BIAS_WARMUP,
+    CUBIC,
+    DRIFT,
+    EMPIRICAL,
+    LAG,
+    REF_DEGC,
+    RIPPLE,
+    SAWTOOTH,
+    SCALE,
+    SCALE_PLAY,
+    SCALE_RATE,
+    SCALE_T,
+    SCALE_WARMUP,
+    SHUPE,
+    UNIT,
+)
+
+GAP_S = 60.0  # longer without a temperature, and what happened between is no longer known
+DEG = math.pi / 180.0
+EXTRAPOLATING, UNSETTLED = int(Flag.EXTRAPOLATING), int(Flag.UNSETTLED)
+MISSING = int(Flag.TEMPERATURE_MISSING)
+NEVER = np.iinfo(np.int64).min
+LAST_TEMP, LAST_COIL, LOWEST, HIGHEST = range(4)
+T_THERMAL, T_POWER_ON, SETTLED_AT = range(3)
+
+
+class State(NamedTuple):
+    """Everything the step remembers; a checkpoint is these arrays."""
+
+    values: np.ndarray  # float64 (4): last temperature, last coil temperature, lowest and highest temperature
+    times: np.ndarray  # int64 (3) ns: last temperature, power-on (NEVER: unknown), when settled
+    filters: np.ndarray  # float64 (groups, 2, 2): per input filter its state and output
+    terms: np.ndarray  # float64 (terms, TERM_STATES): [0] is the thermal column the term multiplies
+    inputs: np.ndarray  # float64 (N_INPUTS): scratch
+    exponents: np.ndarray  # float64 (rules): scratch
+
+
+def new_state(compiled: Compiled) -> State:
+    """A state that has seen nothing."""
+    state = State(
+        np.full(4, np.nan),
+        np.full(3, NEVER, np.int64),
+        np.zeros((len(compiled.base_kind), 2, 2)),
+        np.zeros((len(compiled.term_kind), TERM_STATES)),
+        np.zeros(N_INPUTS),
+        np.zeros(len(compiled.centers)),
+    )
+    reset(state)
+    return state
+
+
+@hot_kernel
+def reset(s):
+    """Forget every temperature (not the time of power-on)."""
+    s.values[:] = np.nan
+    s.times[T_THERMAL] = NEVER
+    s.times[SETTLED_AT] = NEVER
+    s.filters[:] = 0.0
+    s.terms[:] = 0.0
+
+
+@hot_kernel
+def clip(value, low, high):
+    """`value` kept between `low` and `high`."""
+    return min(max(value, low), high)
+
+
+@hot_kernel
+def low_pass(y, x0, x1, dt, tau):
+    """First-order low pass over `dt` for an input that goes linearly from x0 to x1 (exact)."""
+    lag = (x1 - x0) / dt * tau
+    return x1 - lag + (y - x0 + lag) * math.exp(-dt / tau)
+
+
+@hot_kernel
+def thermal_update(c, s, t_ns, temp, coil):
+    """Take in a temperature [°C] (and the coil's, NaN when there is none) received at t_ns."""
+    first = s.times[T_THERMAL] == NEVER
+    dt = 0.0 if first else (t_ns - s.times[T_THERMAL]) * 1e-9
+    if first or dt > GAP_S:
+        s.times[SETTLED_AT] = t_ns + np.int64(c.settle_s * 1e9)
+    if first:
+        s.values[LOWEST], s.values[HIGHEST] = temp, temp
+    elif dt <= 0.0:
+        return  # time does not run backwards in a thermal state
+    s.values[LOWEST] = min(s.values[LOWEST], temp)
+    s.values[HIGHEST] = max(s.values[HIGHEST], temp)
+    for g in range(c.base_kind.shape[0]):
+        x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        x0 = x1 if first else clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        for k in range(2):
+            tau = c.filter_tau_s[g, k]
+            s.filters[g, k, 0] = x1 if first else low_pass(s.filters[g, k, 0], x0, x1, dt, tau)
+        s.filters[g, 0, 1] = (x1 - s.filters[g, 0, 0]) / c.filter_tau_s[g, 0]
+        s.filters[g, 1, 1] = s.filters[g, 1, 0]
+    for j in range(c.term_kind.shape[0]):
+        g = c.term_group[j]
+        x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        x0 = x1 if first else clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        thermal_column(c.term_kind[j], c.term[j], s.terms[j], x0, x1, dt, first)
+    s.values[LAST_TEMP], s.values[LAST_COIL] = temp, coil
+    s.times[T_THERMAL] = t_ns
+
+
+@hot_kernel
+def thermal_column(kind, p, x, t0, t1, dt, first):
+    """Move one term's state `x` from temperature t0 to t1; `x[0]` is the column its coefficient multiplies."""
+    if kind == LAG:
+        x[1] = t1 if first else low_pass(x[1], t0, t1, dt, p[0])
+        if p[3] > 0.0:  # a second pole, fed with the first one's output
+            before = x[3]
+            x[2] = t1 if first else low_pass(x[2], before, x[1], dt, p[3])
+            x[3] = x[1]
+            x[0] = x[2] - t1
+        else:
+            x[0] = x[1] - t1
+    elif kind == SHUPE:
+        shupe_column(p, x, t0, t1, dt, first)
+    elif kind in (BIAS_PLAY, SCALE_PLAY):
+        x[1] = t1 if first else min(max(x[1], t1 - p[0]), t1 + p[0])
+        x[0] = x[1] - t1
+    elif kind == SCALE_RATE:
+        x[1] = t1 if first else low_pass(x[1], t0, t1, dt, p[0])
+        x[0] = (t1 - x[1]) / p[0]
+    elif kind == EMPIRICAL:
+        x[1] = t1 if first else low_pass(x[1], t0, t1, dt, p[4])
+        x[0] = (t1 - x[1]) / p[4]
+
+
+@hot_kernel
+def shupe_column(p, x, t0, t1, dt, first):
+    """c1·LP_τ(u̇) + c2·d/dt LP_τ(u̇), u the temperature smoothed with p[3] (Mohr's integral with one time constant)."""
+    if first:
+        x[1], x[2], x[0] = t1, t1, 0.0
+        return
+    before, slope = t0, (t1 - t0) / dt
+    after = t1
+    if p[3] > 0.0:
+        before = x[1]
+        x[1] = low_pass(x[1], t0, t1, dt, p[3])
+        after, slope = x[1], (t1 - x[1]) / p[3]
+    x[2] = low_pass(x[2], before, after, dt, p[0])
+    filtered = (after - x[2]) / p[0]
+    x[0] = p[1] * filtered + p[2] * (slope - filtered) / p[0]
+
+
+@hot_kernel
+def predict_error(c, s, t_ns, rate):
+    """Predicted error [°/s] of a measured rate [°/s], and the flag bits that the model adds."""
+    if (c.needs[0] and math.isnan(s.values[LAST_TEMP])) or (c.needs[1] and math.isnan(s.values[LAST_COIL])):
+        return 0.0, MISSING
+    flags = 0
+    timed = s.times[T_POWER_ON] != NEVER
+    t = (t_ns - s.times[T_POWER_ON]) * 1e-9 if timed else 0.0
+    if t_ns < s.times[SETTLED_AT] or (c.needs[2] and not timed):
+        flags |= UNSETTLED
+    total = 0.0
+    for g in range(c.base_kind.shape[0]):
+        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = s.values[LAST_TEMP], rate, s.values[LAST_COIL]
+        s.inputs[TEMP_RATE], s.inputs[LAG_TEMP], s.inputs[TIME] = s.filters[g, 0, 1], s.filters[g, 1, 1], t
+        for k in range(N_INPUTS):
+            low, high = c.validity[g, k, 0], c.validity[g, k, 1]
+            if s.inputs[k] < low or s.inputs[k] > high:
+                flags |= EXTRAPOLATING
+                s.inputs[k] = clip(s.inputs[k], low, high)
+        total += base_error(c, s, g) + rules_error(c, s, g)
+    w = rate - total  # the best estimate of the true rate
+    for j in range(c.term_kind.shape[0]):
+        total += term_error(c, s, j, rate, w, t, timed)
+        if c.term_kind[j] == BIAS_PLAY or c.term_kind[j] == SCALE_PLAY:
+            if not s.values[HIGHEST] - s.values[LOWEST] >= 2.0 * c.term[j, 0]:
+                flags |= UNSETTLED  # until then the play still shows where it started
+    return total, flags
+
+
+@hot_kernel
+def base_error(c, s, g):
+    """The physical surface under the rules of group g."""
+    if c.base_kind[g] == SINE:
+        h = s.inputs[TEMP] - c.base[g, 5]
+        gain = 1.0 + c.base[g, 2] + h * (c.base[g, 3] + h * c.base[g, 4])
+        sine = clip(s.inputs[RATE] * DEG * c.base[g, 0] / gain, -1.0, 1.0)
+        return s.inputs[RATE] - math.asin(sine) / (c.base[g, 0] * (1.0 + c.base[g, 1] * h)) / DEG
+    if c.base_kind[g] == POLYNOMIAL:
+        h = s.inputs[TEMP] - c.base[g, 0]
+        offset, rows, columns = int(c.base[g, 1]), int(c.base[g, 2]), int(c.base[g, 3])
+        total = 0.0
+        for i in range(rows - 1, -1, -1):
+            row = 0.0
+            for j in range(columns - 1, -1, -1):
+                row = row * s.inputs[RATE] + c.table[offset + i * columns + j]
+            total = total * h + row
+        return total
+    return 0.0
+
+
+@hot_kernel
+def rules_error(c, s, g):
+    """TS output of group g (PAPER eqs. 2, 9-11); the largest exponent is taken out, so far points do not underflow."""
+    start, stop = c.rule_start[g], c.rule_start[g + 1]
+    if start == stop:
+        return 0.0
+    largest = -np.inf
+    for j in range(start, stop):
+        exponent = 0.0
+        for k in range(c.group_size[g]):
+            z = (s.inputs[c.group_inputs[g, k]] - c.centers[j, k]) * c.inverse_widths[j, k]
+            exponent -= 0.5 * z * z
+        s.exponents[j] = exponent
+        largest = max(largest, exponent)
+    weights, weighted = 0.0, 0.0
+    for j in range(start, stop):
+        firing = math.exp(s.exponents[j] - largest)
+        output = c.consequents[j, 0]
+        for k in range(c.group_size[g]):
+            output += c.consequents[j, k + 1] * s.inputs[c.group_inputs[g, k]]
+        weights += firing
+        weighted += firing * output
+    return weighted / weights
+
+
+@hot_kernel
+def term_error(c, s, j, rate, w, t, timed):
+    """Error of term j; `s.terms[j, 0]` is its thermal column, kept by `thermal_update`."""
+    kind, p0, column = c.term_kind[j], c.term[j, 0], s.terms[j, 0]
+    if kind == LAG:
+        return (w * c.term[j, 1] + c.term[j, 2]) * column
+    if kind == SHUPE:
+        return column
+    if kind == BIAS_PLAY:
+        return c.term[j, 1] * column
+    if kind in (SCALE_PLAY, SCALE_RATE):
+        return w * c.term[j, 1] * column
+    if kind in (BIAS_T, SCALE_T, RIPPLE, SAWTOOTH, CUBIC):
+        return static_error(c, s, j, w)
+    if kind == EMPIRICAL:
+        return empirical_error(c, s, j, rate, w, t, timed)
+    if kind == ASYMMETRY:
+        return p0 * abs(w)
+    if kind == SCALE:
+        return w * p0
+    if kind == BIAS:
+        return p0
+    if kind == UNIT:
+        return rate * (1.0 - 1.0 / p0)
+    return timed_error(c, j, w, t) if timed else 0.0
+
+
+@hot_kernel
+def timed_error(c, j, w, t):
+    """Terms in time since power-on."""
+    kind, p0 = c.term_kind[j], c.term[j, 0]
+    if kind == BIAS_WARMUP:
+        return p0 * math.exp(-t / c.term[j, 1])
+    if kind == SCALE_WARMUP:
+        return w * p0 * math.exp(-t / c.term[j, 1])
+    if kind == AGEING:
+        return w * p0 * t
+    return p0 * t  # DRIFT
+
+
+@hot_kernel
+def term_temperature(c, s, j):
+    """The last temperature inside the validity of term j's model."""
+    g = c.term_group[j]
+    return clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+
+
+@hot_kernel
+def static_error(c, s, j, w):
+    """Terms that depend on the present temperature and rate only."""
+    kind, p0, p1, p2 = c.term_kind[j], c.term[j, 0], c.term[j, 1], c.term[j, 2]
+    if kind == CUBIC:
+        warm = p2 * (term_temperature(c, s, j) - REF_DEGC) if p2 != 0.0 else 0.0
+        return w * w * w * (p0 + p1 * w * w + warm)
+    h = term_temperature(c, s, j) - REF_DEGC
+    if kind == RIPPLE:
+        phi = 2.0 * math.pi * (h + c.term[j, 3] * h * h) / p0
+        return p1 * math.cos(phi) + p2 * math.sin(phi)
+    if kind == SAWTOOTH:
+        phase = (h - p2) / p0
+        return p1 * (2.0 * (phase - math.floor(phase)) - 1.0)
+    polynomial = h * (p0 + h * (p1 + h * p2))
+    return w * polynomial if kind == SCALE_T else polynomial
+
+
+@hot_kernel
+def empirical_error(c, s, j, rate, w, t, timed):
+    """Piecewise linear in one driver, held outside its knots."""
+    driver, offset, count = int(c.term[j, 0]), int(c.term[j, 1]), int(c.term[j, 2])
+    if driver == 0:
+        value = term_temperature(c, s, j)
+    elif driver == 1:
+        value = s.terms[j, 0]
+    elif driver == 2:
+        value = rate
+    elif timed:
+        value = t
+    else:
+        return 0.0
+    knots, values = c.table[offset : offset + count], c.table[offset + count : offset + 2 * count]
+    return interpolate(value, knots, values) * (w if c.term[j, 3] != 0.0 else 1.0)
+
+
+@hot_kernel
+def interpolate(value, knots, values):
+    """Linear interpolation, the end values held outside."""
+    last = knots.shape[0] - 1
+    if value <= knots[0]:
+        return values[0]
+    if value >= knots[last]:
+        return values[last]
+    k = np.searchsorted(knots, value, side="right") - 1
+    share = (value - knots[k]) / (knots[k + 1] - knots[k])
+    return values[k] + share * (values[k + 1] - values[k])
+
+
+@hot_kernel
+def sigma(c, s, rate):
+    """Residual standard deviation [°/s] stated by the model for this region (NaN when it states none)."""
+    offset, rows, columns = c.sigma[0], c.sigma[1], c.sigma[2]
+    if rows == 0:
+        return c.table[offset]
+    i = region(s.values[LAST_TEMP], c.table[offset:], rows)
+    j = region(rate, c.table[offset + rows + 1 :], columns)
+    return c.table[offset + rows + columns + 2 + i * columns + j]
+
+
+@hot_kernel
+def region(value, edges, count):
+    """Index of the region that holds `value`, edges from `edges` on; the outer ones are open."""
+    for k in range(count - 1):
+        if not value >= edges[k + 1]:
+            return k
+    return count - 1
