@@ -1,0 +1,1 @@
+"""What runs at a desk: recordings, identification, evaluation, the gyro simulator, mismatch diagnosis."""
