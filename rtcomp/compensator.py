@@ -10,7 +10,7 @@ from rtcomp.errors import RequestError
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
 from rtcomp.model import Model
-from rtcomp.step import T_POWER_ON, new_state, predict_error, reset, sigma, thermal_update
+from rtcomp.step import T_POWER_ON, forget, new_state, predict_error, sigma, thermal_update
 
 
 class Prediction(NamedTuple):
@@ -29,18 +29,18 @@ class Compensator:
     """
 
     def __init__(self, models: Sequence[Model], power_on_ns: int | None = None) -> None:
-        self.compiled: Compiled = compile_models(models)
+        self.compiled: Compiled = compile_models([models])
         self.state = new_state(self.compiled)
         if power_on_ns is not None:
-            self.state.times[T_POWER_ON] = power_on_ns
+            self.state.times[0, T_POWER_ON] = power_on_ns
 
     def temperature(self, t_ns: int, temp_degC: float, coil_temp_degC: float = float("nan")) -> None:
         """Take in a temperature received at `t_ns`."""
-        thermal_update(self.compiled, self.state, t_ns, temp_degC, coil_temp_degC)
+        thermal_update(self.compiled, self.state, 0, t_ns, temp_degC, coil_temp_degC)
 
     def correct(self, t_ns: int, rate_dps: float) -> tuple[float, Flag]:
         """The corrected rate [°/s] and the model's flags."""
-        error, flags = predict_error(self.compiled, self.state, t_ns, rate_dps)
+        error, flags = predict_error(self.compiled, self.state, 0, t_ns, rate_dps)
         return rate_dps - error, Flag(flags)
 
 
@@ -82,8 +82,8 @@ def predict_rows(c, s, independent, t_ns, rate, temp, coil, error, std, flags):
     """Fill `error`, `std` and `flags` (n,) row by row."""
     for i in range(rate.shape[0]):
         if independent:
-            reset(s)
+            forget(s, 0)
         if not np.isnan(temp[i]):
-            thermal_update(c, s, t_ns[i], temp[i], coil[i])
-        error[i], flags[i] = predict_error(c, s, t_ns[i], rate[i])
-        std[i] = sigma(c, s, rate[i])
+            thermal_update(c, s, 0, t_ns[i], temp[i], coil[i])
+        error[i], flags[i] = predict_error(c, s, 0, t_ns[i], rate[i])
+        std[i] = sigma(c, s, 0, rate[i])

@@ -19,8 +19,10 @@ SETTLE_TAUS = 5.0  # e⁻⁵ < 1 % of an unknown start is left
 
 
 class Compiled(NamedTuple):
-    """A stack of models, its parts added up; group g is one model file. All arrays contiguous."""
+    """Models of all channels; group g is one model file, the groups of a channel add up. All arrays contiguous."""
 
+    group_start: np.ndarray  # int64 (channels + 1)
+    term_start: np.ndarray  # int64 (channels + 1)
     group_inputs: np.ndarray  # int64 (groups, MAX_INPUTS): index into INPUTS, −1 when unused
     group_size: np.ndarray  # int64 (groups): how many inputs its rules take
     rule_start: np.ndarray  # int64 (groups + 1)
@@ -35,29 +37,30 @@ class Compiled(NamedTuple):
     term_group: np.ndarray  # int64 (terms)
     term: np.ndarray  # float64 (terms, PARAMETERS)
     table: np.ndarray  # float64 flat: polynomials, knots and values, residual regions
-    sigma: np.ndarray  # int64 (3): offset into table, temperature regions, rate regions
-    needs: np.ndarray  # int64 (3): temperature, coil temperature, time since power-on
-    settle_s: float  # how long an unknown thermal state matters
+    sigma: np.ndarray  # int64 (channels, 3): offset into table, temperature regions, rate regions
+    needs: np.ndarray  # int64 (channels, 3): temperature, coil temperature, time since power-on
+    settle_s: np.ndarray  # float64 (channels): how long an unknown thermal state matters
 
 
-def compile_models(models: Sequence[Model]) -> Compiled:
-    """Compile one model, or a stack whose predictions add up (an empty one predicts 0).
+def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
+    """Compile a stack of models per channel, the predictions of a stack adding up (an empty one predicts 0).
 
     The last model that states a residual standard deviation tells the stack's.
     """
+    models = [model for stack in stacks for model in stack]
     table: list[float] = []
-    groups = len(models)
-    inputs = np.full((groups, MAX_INPUTS), -1, np.int64)
+    inputs = np.full((len(models), MAX_INPUTS), -1, np.int64)
     for g, model in enumerate(models):
         inputs[g, : len(model.inputs)] = [INPUTS.index(name) for name in model.inputs]
     bases = [_base(model, table) for model in models]
     terms = [(TERMS[t.effect].code, g, _term_row(t, table)) for g, m in enumerate(models) for t in m.terms]
-    sigma = _sigma(models, table)
-    counts = [len(model.rules.centers) for model in models]
+    sigma = np.array([_sigma(stack, table) for stack in stacks], np.int64).reshape(-1, 3)
     return Compiled(
+        _starts([len(stack) for stack in stacks]),
+        _starts([sum(len(m.terms) for m in stack) for stack in stacks]),
         inputs,
         np.array([len(m.inputs) for m in models], np.int64),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        _starts([len(m.rules.centers) for m in models]),
         _rows([row for m in models for row in m.rules.centers], MAX_INPUTS, 0.0),
         1.0 / _rows([row for m in models for row in m.rules.widths], MAX_INPUTS, np.inf),
         _rows([row for m in models for row in m.rules.consequents], MAX_INPUTS + 1, 0.0),
@@ -70,9 +73,13 @@ def compile_models(models: Sequence[Model]) -> Compiled:
         _rows([row for _, _, row in terms], PARAMETERS, 0.0),
         np.array(table, np.float64),
         sigma,
-        _needs(models),
-        SETTLE_TAUS * max((_slowest(m) for m in models), default=0.0),
+        np.array([_needs(stack) for stack in stacks], np.int64).reshape(-1, 3),
+        np.array([SETTLE_TAUS * max((_slowest(m) for m in stack), default=0.0) for stack in stacks]),
     )
+
+
+def _starts(counts: list[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _rows(rows: list[list[float]], width: int, fill: float) -> np.ndarray:
@@ -106,19 +113,19 @@ def _term_row(term: Any, table: list[float]) -> list[float]:
     return [driver, offset, count, float(times_rate), parameters.get("tau_s", 60.0)]
 
 
-def _sigma(models: Sequence[Model], table: list[float]) -> np.ndarray:
-    stated = [m.residual_std_dps for m in models if m.residual_std_dps is not None]
+def _sigma(stack: Sequence[Model], table: list[float]) -> list[int]:
+    stated = [m.residual_std_dps for m in stack if m.residual_std_dps is not None]
     offset = len(table)
     if not stated:
         table.append(np.nan)
-        return np.array([offset, 0, 0], np.int64)
+        return [offset, 0, 0]
     residual = stated[-1]
     if not isinstance(residual, ResidualTable):
         table.append(residual)
-        return np.array([offset, 0, 0], np.int64)
+        return [offset, 0, 0]
     for part in (residual.temp_degC, residual.rate_dps, *residual.std_dps):
         table.extend(part)
-    return np.array([offset, len(residual.temp_degC) - 1, len(residual.rate_dps) - 1], np.int64)
+    return [offset, len(residual.temp_degC) - 1, len(residual.rate_dps) - 1]
 
 
 def _validity(models: Sequence[Model]) -> np.ndarray:
@@ -154,10 +161,10 @@ def _term_uses(term: Any) -> set[str]:
     return {"rate_dps"} if term.parameters.get("driver") == "rate" else {"temp_degC"}
 
 
-def _needs(models: Sequence[Model]) -> np.ndarray:
-    used = set().union(*(_uses(model) for model in models)) if models else set()
+def _needs(stack: Sequence[Model]) -> list[bool]:
+    used: set[str] = set().union(*(_uses(model) for model in stack))
     temperature = used & {"temp_degC", "temp_rate_degC_per_s", "lag_temp_degC"}
-    return np.array([bool(temperature), "coil_temp_degC" in used, "time_since_power_on_s" in used], np.int64)
+    return [bool(temperature), "coil_temp_degC" in used, "time_since_power_on_s" in used]
 
 
 def _slowest(model: Model) -> float:

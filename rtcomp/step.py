@@ -1,7 +1,7 @@
 """The compiled step: a temperature in, a rate in, the predicted error out, with explicit state.
 
 When to call what: `thermal_update` at every valid temperature (time in ns, °C), `predict_error` at every rate
-(°/s in, predicted error in °/s out). The thermal states move only with temperatures, exactly for a temperature
+(°/s in, predicted error in °/s out), both for one channel `ch` and in the order of the times. The thermal states move only with temperatures, exactly for a temperature
 linear in time between two of them; gaps and uneven sampling are in the times themselves.
 """
 
@@ -60,8 +60,8 @@ T_THERMAL, T_POWER_ON, SETTLED_AT = range(3)
 class State(NamedTuple):
     """Everything the step remembers; a checkpoint is these arrays."""
 
-    values: np.ndarray  # float64 (4): last temperature, last coil temperature, lowest and highest temperature
-    times: np.ndarray  # int64 (3) ns: last temperature, power-on (NEVER: unknown), when settled
+    values: np.ndarray  # float64 (channels, 4): last temperature, last coil temperature, lowest and highest temperature
+    times: np.ndarray  # int64 (channels, 3) ns: last temperature, power-on (NEVER: unknown), when settled
     filters: np.ndarray  # float64 (groups, 2, 2): per input filter its state and output
     terms: np.ndarray  # float64 (terms, TERM_STATES): [0] is the thermal column the term multiplies
     inputs: np.ndarray  # float64 (N_INPUTS): scratch
@@ -70,26 +70,24 @@ class State(NamedTuple):
 
 def new_state(compiled: Compiled) -> State:
     """A state that has seen nothing."""
-    state = State(
-        np.full(4, np.nan),
-        np.full(3, NEVER, np.int64),
+    channels = len(compiled.needs)
+    return State(
+        np.full((channels, 4), np.nan),
+        np.full((channels, 3), NEVER, np.int64),
         np.zeros((len(compiled.base_kind), 2, 2)),
         np.zeros((len(compiled.term_kind), TERM_STATES)),
         np.zeros(N_INPUTS),
         np.zeros(len(compiled.centers)),
     )
-    reset(state)
-    return state
 
 
 @hot_kernel
-def reset(s):
-    """Forget every temperature (not the time of power-on)."""
-    s.values[:] = np.nan
-    s.times[T_THERMAL] = NEVER
-    s.times[SETTLED_AT] = NEVER
-    s.filters[:] = 0.0
-    s.terms[:] = 0.0
+def forget(s, ch):
+    """Forget every temperature of channel `ch` (not the time of power-on): the next one starts anew."""
+    for k in range(s.values.shape[1]):
+        s.values[ch, k] = np.nan
+    s.times[ch, T_THERMAL] = NEVER
+    s.times[ch, SETTLED_AT] = NEVER
 
 
 @hot_kernel
@@ -106,33 +104,33 @@ def low_pass(y, x0, x1, dt, tau):
 
 
 @hot_kernel
-def thermal_update(c, s, t_ns, temp, coil):
+def thermal_update(c, s, ch, t_ns, temp, coil):
     """Take in a temperature [°C] (and the coil's, NaN when there is none) received at t_ns."""
-    first = s.times[T_THERMAL] == NEVER
-    dt = 0.0 if first else (t_ns - s.times[T_THERMAL]) * 1e-9
+    first = s.times[ch, T_THERMAL] == NEVER
+    dt = 0.0 if first else (t_ns - s.times[ch, T_THERMAL]) * 1e-9
     if first or dt > GAP_S:
-        s.times[SETTLED_AT] = t_ns + np.int64(c.settle_s * 1e9)
+        s.times[ch, SETTLED_AT] = t_ns + np.int64(c.settle_s[ch] * 1e9)
     if first:
-        s.values[LOWEST], s.values[HIGHEST] = temp, temp
+        s.values[ch, LOWEST], s.values[ch, HIGHEST] = temp, temp
     elif dt <= 0.0:
         return  # time does not run backwards in a thermal state
-    s.values[LOWEST] = min(s.values[LOWEST], temp)
-    s.values[HIGHEST] = max(s.values[HIGHEST], temp)
-    for g in range(c.base_kind.shape[0]):
+    s.values[ch, LOWEST] = min(s.values[ch, LOWEST], temp)
+    s.values[ch, HIGHEST] = max(s.values[ch, HIGHEST], temp)
+    for g in range(c.group_start[ch], c.group_start[ch + 1]):
         x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
-        x0 = x1 if first else clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        x0 = x1 if first else clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         for k in range(2):
             tau = c.filter_tau_s[g, k]
             s.filters[g, k, 0] = x1 if first else low_pass(s.filters[g, k, 0], x0, x1, dt, tau)
         s.filters[g, 0, 1] = (x1 - s.filters[g, 0, 0]) / c.filter_tau_s[g, 0]
         s.filters[g, 1, 1] = s.filters[g, 1, 0]
-    for j in range(c.term_kind.shape[0]):
+    for j in range(c.term_start[ch], c.term_start[ch + 1]):
         g = c.term_group[j]
         x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
-        x0 = x1 if first else clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        x0 = x1 if first else clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         thermal_column(c.term_kind[j], c.term[j], s.terms[j], x0, x1, dt, first)
-    s.values[LAST_TEMP], s.values[LAST_COIL] = temp, coil
-    s.times[T_THERMAL] = t_ns
+    s.values[ch, LAST_TEMP], s.values[ch, LAST_COIL] = temp, coil
+    s.times[ch, T_THERMAL] = t_ns
 
 
 @hot_kernel
@@ -178,18 +176,18 @@ def shupe_column(p, x, t0, t1, dt, first):
 
 
 @hot_kernel
-def predict_error(c, s, t_ns, rate):
+def predict_error(c, s, ch, t_ns, rate):
     """Predicted error [°/s] of a measured rate [°/s], and the flag bits that the model adds."""
-    if (c.needs[0] and math.isnan(s.values[LAST_TEMP])) or (c.needs[1] and math.isnan(s.values[LAST_COIL])):
+    if (c.needs[ch, 0] and math.isnan(s.values[ch, LAST_TEMP])) or (c.needs[ch, 1] and math.isnan(s.values[ch, LAST_COIL])):
         return 0.0, MISSING
     flags = 0
-    timed = s.times[T_POWER_ON] != NEVER
-    t = (t_ns - s.times[T_POWER_ON]) * 1e-9 if timed else 0.0
-    if t_ns < s.times[SETTLED_AT] or (c.needs[2] and not timed):
+    timed = s.times[ch, T_POWER_ON] != NEVER
+    t = (t_ns - s.times[ch, T_POWER_ON]) * 1e-9 if timed else 0.0
+    if t_ns < s.times[ch, SETTLED_AT] or (c.needs[ch, 2] and not timed):
         flags |= UNSETTLED
     total = 0.0
-    for g in range(c.base_kind.shape[0]):
-        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = s.values[LAST_TEMP], rate, s.values[LAST_COIL]
+    for g in range(c.group_start[ch], c.group_start[ch + 1]):
+        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = s.values[ch, LAST_TEMP], rate, s.values[ch, LAST_COIL]
         s.inputs[TEMP_RATE], s.inputs[LAG_TEMP], s.inputs[TIME] = s.filters[g, 0, 1], s.filters[g, 1, 1], t
         for k in range(N_INPUTS):
             low, high = c.validity[g, k, 0], c.validity[g, k, 1]
@@ -198,10 +196,10 @@ def predict_error(c, s, t_ns, rate):
                 s.inputs[k] = clip(s.inputs[k], low, high)
         total += base_error(c, s, g) + rules_error(c, s, g)
     w = rate - total  # the best estimate of the true rate
-    for j in range(c.term_kind.shape[0]):
-        total += term_error(c, s, j, rate, w, t, timed)
+    for j in range(c.term_start[ch], c.term_start[ch + 1]):
+        total += term_error(c, s, ch, j, rate, w, t, timed)
         if c.term_kind[j] == BIAS_PLAY or c.term_kind[j] == SCALE_PLAY:
-            if not s.values[HIGHEST] - s.values[LOWEST] >= 2.0 * c.term[j, 0]:
+            if not s.values[ch, HIGHEST] - s.values[ch, LOWEST] >= 2.0 * c.term[j, 0]:
                 flags |= UNSETTLED  # until then the play still shows where it started
     return total, flags
 
@@ -253,7 +251,7 @@ def rules_error(c, s, g):
 
 
 @hot_kernel
-def term_error(c, s, j, rate, w, t, timed):
+def term_error(c, s, ch, j, rate, w, t, timed):
     """Error of term j; `s.terms[j, 0]` is its thermal column, kept by `thermal_update`."""
     kind, p0, column = c.term_kind[j], c.term[j, 0], s.terms[j, 0]
     if kind == LAG:
@@ -265,9 +263,9 @@ def term_error(c, s, j, rate, w, t, timed):
     if kind in (SCALE_PLAY, SCALE_RATE):
         return w * c.term[j, 1] * column
     if kind in (BIAS_T, SCALE_T, RIPPLE, SAWTOOTH, CUBIC):
-        return static_error(c, s, j, w)
+        return static_error(c, s, ch, j, w)
     if kind == EMPIRICAL:
-        return empirical_error(c, s, j, rate, w, t, timed)
+        return empirical_error(c, s, ch, j, rate, w, t, timed)
     if kind == ASYMMETRY:
         return p0 * abs(w)
     if kind == SCALE:
@@ -293,20 +291,20 @@ def timed_error(c, j, w, t):
 
 
 @hot_kernel
-def term_temperature(c, s, j):
+def term_temperature(c, s, ch, j):
     """The last temperature inside the validity of term j's model."""
     g = c.term_group[j]
-    return clip(s.values[LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+    return clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
 
 
 @hot_kernel
-def static_error(c, s, j, w):
+def static_error(c, s, ch, j, w):
     """Terms that depend on the present temperature and rate only."""
     kind, p0, p1, p2 = c.term_kind[j], c.term[j, 0], c.term[j, 1], c.term[j, 2]
     if kind == CUBIC:
-        warm = p2 * (term_temperature(c, s, j) - REF_DEGC) if p2 != 0.0 else 0.0
+        warm = p2 * (term_temperature(c, s, ch, j) - REF_DEGC) if p2 != 0.0 else 0.0
         return w * w * w * (p0 + p1 * w * w + warm)
-    h = term_temperature(c, s, j) - REF_DEGC
+    h = term_temperature(c, s, ch, j) - REF_DEGC
     if kind == RIPPLE:
         phi = 2.0 * math.pi * (h + c.term[j, 3] * h * h) / p0
         return p1 * math.cos(phi) + p2 * math.sin(phi)
@@ -318,11 +316,11 @@ def static_error(c, s, j, w):
 
 
 @hot_kernel
-def empirical_error(c, s, j, rate, w, t, timed):
+def empirical_error(c, s, ch, j, rate, w, t, timed):
     """Piecewise linear in one driver, held outside its knots."""
     driver, offset, count = int(c.term[j, 0]), int(c.term[j, 1]), int(c.term[j, 2])
     if driver == 0:
-        value = term_temperature(c, s, j)
+        value = term_temperature(c, s, ch, j)
     elif driver == 1:
         value = s.terms[j, 0]
     elif driver == 2:
@@ -349,12 +347,12 @@ def interpolate(value, knots, values):
 
 
 @hot_kernel
-def sigma(c, s, rate):
+def sigma(c, s, ch, rate):
     """Residual standard deviation [°/s] stated by the model for this region (NaN when it states none)."""
-    offset, rows, columns = c.sigma[0], c.sigma[1], c.sigma[2]
+    offset, rows, columns = c.sigma[ch, 0], c.sigma[ch, 1], c.sigma[ch, 2]
     if rows == 0:
         return c.table[offset]
-    i = region(s.values[LAST_TEMP], c.table[offset:], rows)
+    i = region(s.values[ch, LAST_TEMP], c.table[offset:], rows)
     j = region(rate, c.table[offset + rows + 1 :], columns)
     return c.table[offset + rows + columns + 2 + i * columns + j]
 
