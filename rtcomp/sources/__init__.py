@@ -1,0 +1,1 @@
+"""Everything that fills or sends FRAME arrays: buses, logs, recordings; only here python-can is imported."""

@@ -1,0 +1,145 @@
+"""Logs of every format as FRAME arrays: candump by our own reader, the others by python-can's."""
+
+import gzip
+import logging
+import os
+import sqlite3
+import struct
+import zlib
+from collections.abc import Iterator
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from rtcomp.errors import RequestError
+from rtcomp.sources.candump import open_log, read_candump
+from rtcomp.sources.messages import to_frames
+
+if TYPE_CHECKING:
+    from can.io.generic import MessageReader
+
+log = logging.getLogger(__name__)
+
+BATCH = 4096  # messages turned into one array
+HEADER_LINES = 100  # of an .asc log, in which its dates are looked for
+ASC_DATES = (("date ", 2), ("Begin Triggerblock ", 3))
+FORMATS = (".log", ".asc", ".blf", ".trc", ".mf4", ".csv", ".db")
+
+
+def log_format(path: Path) -> str:
+    """The log's format, told by its suffix (before `.gz`), or by its first bytes where that says nothing."""
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    if suffixes and suffixes[-1] == ".gz":
+        suffixes.pop()
+    suffix = suffixes[-1] if suffixes else ""
+    if suffix in FORMATS:
+        return suffix
+    with open_log(path) as file:
+        try:
+            start = file.read(64).lstrip()
+        except (EOFError, zlib.error, gzip.BadGzipFile):
+            start = b""
+    if start[:1] == b"(" and start[1:2].isdigit():
+        return ".log"
+    raise RequestError(
+        f"{path}: unknown log format {suffix or 'without a suffix'!r}; wanted one of {', '.join(FORMATS)}, "
+        "each also as .gz where its reader can"
+    )
+
+
+def read_log(path: str | os.PathLike[str]) -> Iterator[NDArray[Any]]:
+    """Read a CAN log of any format as FRAME arrays in bounded memory.
+
+    Formats: candump `.log`, `.asc`, `.blf`, `.trc`, `.mf4` (needs asammdf), `.csv`, `.db`; gzip of the text
+    formats. Times are UNIX ns where the log knows them (`.asc` through its date), exact for candump, and as
+    exact as python-can's float seconds (0.2 µs) for the others.
+    Raises RequestError for a file that is missing, of no known format, damaged, truncated or without frames; the
+    frames before the damage are passed on first.
+    """
+    path = Path(path)
+    open_log(path).close()  # a missing file is refused here, not at the first array
+    kind = log_format(path)
+    return read_candump(path) if kind == ".log" else _read_by_python_can(path, kind)
+
+
+def _read_by_python_can(path: Path, kind: str) -> Iterator[NDArray[Any]]:
+    count = 0
+    try:
+        with _open_reader(path, kind) as reader:
+            messages = iter(reader)
+            while batch := list(islice(messages, BATCH)):
+                yield to_frames(batch)
+                count += len(batch)
+            missing = _missing_bytes(reader, path)
+    except _damage(kind) as error:
+        reason = f"{error}" or type(error).__name__
+        raise RequestError(
+            f"{path}: unreadable as {kind} after {count} frames ({reason}); wanted a complete {kind} log: "
+            "copy it again, or give it the suffix of its format"
+        ) from error
+    if missing:
+        raise RequestError(
+            f"{path}: {missing} bytes shorter than its header says, {count} frames read; wanted a complete "
+            f"{kind} log: copy it again"
+        )
+    if count == 0:
+        raise RequestError(f"{path}: holds no CAN frame; wanted a {kind} log with at least one")
+
+
+def _open_reader(path: Path, kind: str) -> "MessageReader":
+    """python-can's reader, with absolute times where the format leaves a choice."""
+    import can
+
+    if kind == ".mf4" and find_spec("asammdf") is None:
+        raise RequestError(f"{path}: reading .mf4 needs asammdf; install it with `pip install 'rtcomp[mf4]'`")
+    if kind != ".asc":
+        return can.LogReader(path)
+    options = {"relative_timestamp": not _asc_date_is_known(path)}
+    if path.suffix.lower() == ".gz":
+        return can.ASCReader(gzip.open(path, "rt"), **options)
+    return can.ASCReader(path, **options)
+
+
+def _asc_date_is_known(path: Path) -> bool:
+    """Whether python-can can make a start time of the log's dates; it stops at one it cannot."""
+    import can
+
+    with open_log(path) as file:
+        lines = [line.decode(errors="replace").strip() for line in islice(file, HEADER_LINES)]
+    dates = [
+        line.split(maxsplit=skip)[-1] for line in lines for start, skip in ASC_DATES if line.startswith(start)
+    ]
+    try:
+        for date in dates:
+            can.ASCReader._datetime_to_timestamp(date)
+    except ValueError:
+        log.warning("%s: unknown form of its date %r; times count from the log's start", path, dates)
+        return False
+    return True
+
+
+def _missing_bytes(reader: "MessageReader", path: Path) -> int:
+    """How many bytes a BLF file lacks of the size in its header; its reader does not mind."""
+    if getattr(reader, "file_size", 0) == 0 or path.suffix.lower() == ".gz":
+        return 0
+    return max(0, reader.file_size - path.stat().st_size)
+
+
+def _damage(kind: str) -> tuple[type[Exception], ...]:
+    """What python-can's reader of this format raises on a damaged or foreign file."""
+    import can
+    from can.io.blf import BLFParseError
+
+    text = (ValueError, IndexError, KeyError, EOFError, zlib.error, OSError, struct.error, can.CanError)
+    if kind == ".blf":
+        return (*text, BLFParseError)
+    if kind == ".db":
+        return (*text, sqlite3.Error, TypeError)
+    if kind == ".mf4":
+        from asammdf.blocks.utils import MdfException
+
+        return (*text, MdfException, AttributeError, TypeError, AssertionError)
+    return text
