@@ -1,0 +1,135 @@
+"""Bits of a payload to a physical value, compiled; the layout comes from a DBC (`rtcomp.dbc`).
+
+Any signal of 1…64 bits in 64 bytes: its lowest bit lies in byte `byte` at `shift`, the next bytes follow upwards
+(Intel, step 1) or downwards (Motorola, step −1).
+"""
+
+import numpy as np
+
+from rtcomp.jit import hot_kernel
+
+UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
+
+SIGNAL = np.dtype(
+    [
+        ("message", "<i4"),  # index of its message
+        ("byte", "<i4"),
+        ("step", "<i4"),
+        ("shift", "<i4"),
+        ("bits", "<i4"),
+        ("kind", "<i4"),
+        ("exact", "<i4"),  # 1: the scale is an integer and no product leaves 63 bits; 2: so is the offset
+        ("multiplexer", "<i4"),  # index of the signal that selects this one, −1: always there
+        ("mux_start", "<i4"),  # rows of the plan's mux ranges
+        ("mux_count", "<i4"),
+        ("na_start", "<i4"),  # rows of the plan's raw values that mean "not available"
+        ("na_count", "<i4"),
+        ("scale", "<f8"),  # of the DBC
+        ("offset", "<f8"),
+        ("factor", "<f8"),  # from the DBC's unit to ours, and the axis' sign
+        ("shift_unit", "<f8"),
+    ]
+)
+"""One signal, ready for `raw_value` and `physical_value`."""
+
+
+@hot_kernel
+def raw_value(data, row, signal):
+    """The unsigned raw value of `signal` in payload `data[row]` (array (n, 64) of uint8)."""
+    byte, step, shift, bits = signal.byte, signal.step, signal.shift, signal.bits
+    raw = np.uint64(data[row, byte]) >> np.uint64(shift)
+    got = 8 - shift
+    while got < bits:
+        byte += step
+        raw |= np.uint64(data[row, byte]) << np.uint64(got)
+        got += 8
+    if bits < 64:
+        raw &= (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
+    return raw
+
+
+@hot_kernel
+def signed_value(raw, bits):
+    """Two's complement of `bits` bits as int64."""
+    spare = np.uint64(64 - bits)
+    return np.int64(raw << spare) >> np.int64(spare)
+
+
+@hot_kernel
+def float_value(raw, bits, scratch):
+    """IEEE 754 of 16, 32 or 64 bits; `scratch` is one row of 8 bytes."""
+    for k in range(8):
+        scratch[k] = np.uint8((raw >> np.uint64(8 * k)) & np.uint64(0xFF))
+    if bits == 64:
+        return scratch.view(np.float64)[0]
+    if bits == 32:
+        return np.float64(scratch.view(np.float32)[0])
+    return half_value(raw)
+
+
+@hot_kernel
+def half_value(raw):
+    """IEEE 754 half precision, which numba's views lack."""
+    sign = -1.0 if raw >> np.uint64(15) else 1.0
+    exponent = np.int64((raw >> np.uint64(10)) & np.uint64(31))
+    fraction = np.float64(raw & np.uint64(1023))
+    if exponent == 31:
+        return sign * np.inf if fraction == 0.0 else np.nan
+    if exponent == 0:
+        return sign * fraction * 2.0**-24
+    return sign * (1024.0 + fraction) * 2.0 ** (exponent - 25)
+
+
+@hot_kernel
+def scaled_value(raw, signal, scratch):
+    """The value as the DBC gives it, in the DBC's unit; the same arithmetic as cantools."""
+    if signal.kind > SIGNED:
+        return float_value(raw, signal.bits, scratch) * signal.scale + signal.offset
+    value = signed_value(raw, signal.bits) if signal.kind == SIGNED else np.int64(raw)
+    if signal.exact == 2:
+        return np.float64(value * np.int64(signal.scale) + np.int64(signal.offset))
+    if signal.exact == 1:
+        return np.float64(value * np.int64(signal.scale)) + signal.offset
+    if signal.kind == UNSIGNED:
+        return np.float64(raw) * signal.scale + signal.offset
+    return np.float64(value) * signal.scale + signal.offset
+
+
+
+@hot_kernel
+def is_selected(data, row, signals, index, mux_ranges):
+    """Whether signal `index` is there in this payload: every multiplexer above it has a value that selects it."""
+    while signals[index].multiplexer >= 0:
+        selector = signals[index].multiplexer
+        raw = raw_value(data, row, signals[selector])
+        start = signals[index].mux_start
+        hit = False
+        for k in range(start, start + signals[index].mux_count):
+            if mux_ranges[k, 0] <= raw and raw <= mux_ranges[k, 1]:
+                hit = True
+        if not hit:
+            return False
+        index = selector
+    return True
+
+
+@hot_kernel
+def is_available(raw, signal, na_ranges):
+    """Whether the raw value is a measurement and not a code for "error" or "not available"."""
+    for k in range(signal.na_start, signal.na_start + signal.na_count):
+        if na_ranges[k, 0] <= raw and raw <= na_ranges[k, 1]:
+            return False
+    return True
+
+
+@hot_kernel
+def physical_value(data, row, signals, index, mux_ranges, na_ranges, scratch):
+    """The value in our units, NaN when it is not there, not available or not finite."""
+    signal = signals[index]
+    if signal.multiplexer >= 0 and not is_selected(data, row, signals, index, mux_ranges):
+        return np.nan
+    raw = raw_value(data, row, signal)
+    if signal.na_count > 0 and not is_available(raw, signal, na_ranges):
+        return np.nan
+    value = scaled_value(raw, signal, scratch) * signal.factor + signal.shift_unit
+    return value if np.isfinite(value) else np.nan
