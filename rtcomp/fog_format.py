@@ -99,8 +99,9 @@ def _put_temperature(data: np.ndarray, first: int, temp_degC: ArrayLike | None) 
 
 def _nibble(status: ArrayLike) -> np.ndarray:
     values = np.asarray(status)
-    if np.any((values < 0) | (values > 15)):
-        raise RequestError(f"status {values.max()} does not fit the FOG frame's 4 bits; wanted 0…15")
+    unfit = values[(values < 0) | (values > 15)]
+    if unfit.size:
+        raise RequestError(f"status {unfit.flat[0]} does not fit the FOG frame's 4 bits; wanted 0…15")
     return values.astype(np.uint8)
 
 

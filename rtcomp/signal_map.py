@@ -170,7 +170,7 @@ def dbc_path(signal_map: SignalMap, override: str | Path | None = None) -> Path:
 
 
 def unavailable_from(bits: int) -> int:
-    """Smallest raw value of a J1939 signal that is an error (0xFE…) or not available (0xFF…), SAE J1939-71."""
+    """Lowest raw value of a J1939 signal that is an error (0xFE…) or not available (0xFF…); SAE J1939-71."""
     return 0xFE << (bits - 8) if bits >= 8 else (1 << bits) - 2
 
 

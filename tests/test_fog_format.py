@@ -99,10 +99,10 @@ def test_a_temperature_that_does_not_fit_is_refused(temperature):
         encode_temperature([0], [temperature])
 
 
-@pytest.mark.parametrize("status", [-1, 16])
-def test_a_status_of_more_than_four_bits_is_refused(status):
-    with pytest.raises(RequestError, match="wanted 0…15"):
-        encode_rate([0], [0.0], status=status)
+@pytest.mark.parametrize(("status", "unfit"), [(-1, -1), (16, 16), ([3, -1], -1)])
+def test_a_status_of_more_than_four_bits_is_refused(status, unfit):
+    with pytest.raises(RequestError, match=f"status {unfit} does not fit .* wanted 0…15"):
+        encode_rate([0, 1], [0.0, 0.0], status=status)
 
 
 def test_merge_orders_by_time_and_keeps_the_earlier_argument_first_on_a_tie():

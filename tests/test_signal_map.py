@@ -1,5 +1,7 @@
 """Maps are read strictly, and every refusal says what was got and what was wanted."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -120,6 +122,12 @@ def test_the_dbc_is_relative_to_the_map_and_the_command_line_wins(tmp_path):
         dbc_path(loaded, tmp_path / "absent.dbc")
     with pytest.raises(RequestError, match="names no DBC file; give one with --dbc"):
         dbc_path(load_map(write(tmp_path, SMALLEST)))
+
+
+def test_reading_a_map_loads_neither_compiler_nor_dbc_parser():
+    load = "import sys; from rtcomp.signal_map import load_map; load_map('fog')"
+    check = f"{load}; sys.exit(bool({{'numba', 'cantools'}} & {{*sys.modules}}))"
+    subprocess.run([sys.executable, "-c", check], cwd=Path(__file__).parents[1], check=True)
 
 
 def test_an_installed_package_finds_its_own_maps_first(tmp_path, monkeypatch):
