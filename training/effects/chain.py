@@ -8,7 +8,8 @@ from training.effects.base import Columns, FrameEffect, TimingEffect, parameters
 from training.effects.truth import Truth
 from training.effects.units import PPM
 
-FREEZING = ("rate_dps", "temp_degC", "coil_temp_degC", "counter")
+FREEZING = ("rate_dps", "temp_degC", "coil_temp_degC", "counter", "source")
+"""What a frozen frame repeats; `source` is the simulator's own note of the row that is shown."""
 
 
 class TimestampSkew(TimingEffect):

@@ -1,0 +1,1 @@
+"""The commands of `rtcomp`: one module each, with a click command object `command`."""
