@@ -1,0 +1,98 @@
+"""What cannot be told apart, and what is too much like the shape error of a stronger effect to be named."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from training.diagnose.design import Domain, Library
+from training.diagnose.naming import (
+    CLASS_COST,
+    CLASS_SHARE,
+    OTHER_FAMILY_SHARE,
+    SHAPE_ALPHA,
+    SHARED_FAMILY_SHARE,
+    Model,
+    Part,
+    build,
+    partial_chi2,
+    refine,
+    residual_scan,
+    score,
+)
+from training.diagnose.search import Candidate, Null
+
+BIAS, SCALE, HEADING = "bias", "scale", "heading"
+FAMILY = {
+    **dict.fromkeys(("bias_temperature", "shupe", "bias_hysteresis", "polarization_ripple", "compensation_table",
+                     "bias_drift", "bias_warmup", "bias_step", "auto_zero"), BIAS),
+    **dict.fromkeys(("scale_temperature", "thermal_lag", "scale_hysteresis", "scale_temperature_rate", "source_ageing",
+                     "scale_warmup", "scale_step", "scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
+                    SCALE),
+    **dict.fromkeys(("magnetic", "table_eccentricity"), HEADING),
+}
+
+
+def family(effect: str) -> str:
+    """Effects of one family can mistake each other's shape errors for a second effect."""
+    return FAMILY.get(effect, effect)
+
+
+def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
+    """The model without parts too weak beside a stronger one; and the names of those left out."""
+    dropped: list[str] = []
+    while len(model.parts) > 1:
+        strengths = partial_chi2(model)
+        strongest = max(range(len(strengths)), key=strengths.__getitem__)
+        weak = [i for i in range(len(strengths)) if i != strongest and _too_weak(model, strengths, i)]
+        if not weak:
+            break
+        worst = min(weak, key=strengths.__getitem__)
+        dropped.append(model.parts[worst].effect)
+        model = build([p for i, p in enumerate(model.parts) if i != worst], domains, model.fit.weights)
+    return model, dropped
+
+
+def _too_weak(model: Model, strengths: list[float], i: int) -> bool:
+    mine = family(model.parts[i].effect)
+    for j, other in enumerate(model.parts):
+        share = SHARED_FAMILY_SHARE if family(other.effect) == mine else OTHER_FAMILY_SHARE
+        if j != i and strengths[i] < share * strengths[j]:
+            return True
+    return False
+
+
+def with_classes(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
+    """Give every part its alternatives: effects that explain the data nearly as well in its place."""
+    strengths = partial_chi2(model)
+    reference = score(model)
+    parts = []
+    for i, part in enumerate(model.parts):
+        rest = [p for j, p in enumerate(model.parts) if j != i]
+        without = build(rest, domains, model.fit.weights)
+        allowed = CLASS_COST + CLASS_SHARE * strengths[i]
+        found = residual_scan(library, without, null)
+        taken = {p.effect for p in model.parts}
+        close = {}
+        mine = found[part.effect].excess if part.effect in found else 0.0
+        for effect, candidate in found.items():
+            if effect in taken or candidate.excess < mine - 3.0 * allowed - 0.5 * mine:
+                continue
+            cost = reference - _rival_score(library, domains, null, without, candidate, len(part.points))
+            if cost < allowed:
+                close[effect] = cost
+        parts.append(replace(part, chi2=strengths[i], alternatives=close))
+    return Model(parts, model.frame, model.fit)
+
+
+def _rival_score(library: Library, domains: Sequence[Domain], null: Null, without: Model, candidate: Candidate, points: int) -> float:
+    """Best score with the rival in the part's place, given as many shape points as the part has."""
+    group = candidate.variant.group
+    parts = [*without.parts, Part(group, [candidate.variant.parameters])]
+    weights = without.fit.weights
+    model = build(refine(parts, len(parts) - 1, domains, weights), domains, weights)
+    for _ in range(points - 1):
+        again = residual_scan(library, model, null)[group.effect]
+        if null.p_value(again.excess) > SHAPE_ALPHA:
+            break
+        grown = Part(group, [*model.parts[-1].points, again.variant.parameters])
+        model = build(refine([*model.parts[:-1], grown], len(parts) - 1, domains, weights), domains, weights)
+    return score(model)

@@ -1,0 +1,214 @@
+"""Columns of all recordings in the whitening domain, ready to be compared in any combination."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcomp.jit import kernel
+from training.diagnose.library import Group, Parameters
+from training.diagnose.likelihood import profile
+from training.diagnose.spectrum import start
+from training.diagnose.work import FloatArray, Work
+
+ROUNDS, INNER = 4, 6
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One point of a group's grid: its non-linear parameters and where its columns lie."""
+
+    group: Group
+    parameters: Parameters
+    first: int
+    width: int
+
+
+@dataclass
+class Domain:
+    """One recording in the whitening domain: `nuisance` (n, q), `target` (n,), bands and noise shapes."""
+
+    work: Work
+    nuisance: FloatArray
+    target: FloatArray
+    edges: NDArray[np.int64]
+    phi: FloatArray
+
+
+@dataclass
+class Fit:
+    """Result of one joint fit: shared coefficients with their information matrix, noise, band powers."""
+
+    loglik: float
+    beta: FloatArray
+    information: FloatArray
+    nuisance: FloatArray
+    weights: FloatArray
+    spectrum: FloatArray
+
+
+def domain(work: Work, extra: Sequence[FloatArray] = ()) -> Domain:
+    """Transform a recording: nuisances are its offset, its scale factor and `extra` columns."""
+    columns = [np.ones(len(work)), *( [work.w] if np.ptp(work.w) > 0 else [] ), *extra]
+    stack = work.transform(np.stack([*columns, work.y], axis=1))
+    stack[:, :-1] /= np.sqrt(np.sum(stack[:, :-1] ** 2, axis=0)) + 1e-300
+    return Domain(work, stack[:, :-1], stack[:, -1], work.bands(), work.noise_shapes())
+
+
+def band_gram(left: FloatArray, right: FloatArray, edges: NDArray[np.int64]) -> FloatArray:
+    """left_b' right_b for every band, shape `(bands, left columns, right columns)`."""
+    parts = [left[a:b].T @ right[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return np.asarray(parts, dtype=np.float64)
+
+
+class Frame:
+    """Nuisances, chosen shared columns and targets of all recordings, with their Gram matrices."""
+
+    def __init__(self, domains: Sequence[Domain], chosen: Sequence[FloatArray] = (), targets: Sequence[FloatArray] = ()):
+        self.domains = list(domains)
+        self.q = max(d.nuisance.shape[1] for d in domains)
+        self.chosen = list(chosen) or [np.empty((len(d.target), 0)) for d in domains]
+        self.targets = list(targets) or [d.target[:, None] for d in domains]
+        self.counts = np.concatenate([np.diff(d.edges).astype(float) for d in domains])
+        sizes = [len(d.edges) - 1 for d in domains]
+        self.firsts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self.phi = np.concatenate([d.phi for d in domains], axis=1)
+        self.base = [self._left(i) for i in range(len(domains))]
+
+    def _left(self, i: int) -> FloatArray:
+        d = self.domains[i]
+        pad = np.zeros((len(d.target), self.q - d.nuisance.shape[1]))
+        return np.concatenate([d.nuisance, pad, self.chosen[i]], axis=1)
+
+    def grams(self, column: int = 0, extra: Sequence[FloatArray] | None = None) -> FloatArray:
+        """Band Gram matrices over [nuisance | chosen | extra | target `column`]."""
+        parts = []
+        for i, d in enumerate(self.domains):
+            right = [self.base[i], self.targets[i][:, column : column + 1]]
+            if extra is not None:
+                right.insert(1, extra[i])
+            stack = np.concatenate(right, axis=1)
+            parts.append(band_gram(stack, stack, d.edges))
+        return np.concatenate(parts)
+
+    def first_weights(self, grams: FloatArray) -> FloatArray:
+        """Noise weights from the raw band powers of the target."""
+        powers = np.maximum(grams[:, -1, -1] / self.counts, 1e-300)
+        parts = [slice(a, b) for a, b in zip(self.firsts[:-1], self.firsts[1:], strict=True)]
+        return np.asarray([start(np.ascontiguousarray(self.phi[:, s]), self.counts[s], powers[s]) for s in parts])
+
+    def fit(self, grams: FloatArray, weights: FloatArray | None = None, rounds: int = 12, inner: int = 25) -> Fit:
+        """Joint fit of coefficients and noise on these Gram matrices."""
+        a = self.first_weights(grams) if weights is None else weights.copy()
+        loglik, beta, information, nuisance, _, spectrum = profile(
+            grams, self.counts, self.firsts, self.phi, a, self.q, rounds, inner
+        )
+        return Fit(loglik, beta, information, nuisance, a, spectrum)
+
+
+@kernel
+def own_grams(rows, edges, firsts, widths, out):
+    """X_b'X_b of every variant, packed `(bands, variants, widest, widest)` in `out`."""
+    for b in range(len(edges) - 1):
+        for v in range(len(firsts)):
+            f, k = firsts[v], widths[v]
+            for i in range(k):
+                for j in range(i + 1):
+                    total = 0.0
+                    for row in range(edges[b], edges[b + 1]):
+                        total += rows[f + i, row] * rows[f + j, row]
+                    out[b, v, i, j] = total
+                    out[b, v, j, i] = total
+
+
+@kernel
+def scan_range(base, cross, own, target, counts, firsts, phi, a, q, widths, starts, rounds, inner, low, high, out):
+    """Log-likelihood of [nuisance | chosen | variant] for the variants low..high−1.
+
+    `base` (bands, k+1, k+1) over [nuisance | chosen | target]; `cross` (bands, M, k) library × [nuisance | chosen];
+    `target` (bands, M) library × target; `own` packed variant Grams.
+    """
+    n_bands, k, _ = base.shape
+    k -= 1
+    for v in range(low, high):
+        p = widths[v]
+        m = k + p + 1
+        grams = np.empty((n_bands, m, m))
+        for b in range(n_bands):
+            for i in range(k):
+                for j in range(k):
+                    grams[b, i, j] = base[b, i, j]
+                grams[b, i, m - 1] = base[b, i, k]
+                grams[b, m - 1, i] = base[b, k, i]
+            grams[b, m - 1, m - 1] = base[b, k, k]
+            for c in range(p):
+                for i in range(k):
+                    grams[b, k + c, i] = cross[b, starts[v] + c, i]
+                    grams[b, i, k + c] = cross[b, starts[v] + c, i]
+                grams[b, k + c, m - 1] = target[b, starts[v] + c]
+                grams[b, m - 1, k + c] = target[b, starts[v] + c]
+                for d in range(p):
+                    grams[b, k + c, k + d] = own[b, v, c, d]
+        out[v] = profile(grams, counts, firsts, phi, a.copy(), q, rounds, inner)[0]
+
+
+class Library:
+    """All variants of all groups in the whitening domain (float32, one row per column)."""
+
+    def __init__(self, domains: Sequence[Domain], groups: Sequence[Group], survey: object):
+        self.domains = list(domains)
+        self.variants = _variants(groups, survey)
+        self.starts = np.asarray([v.first for v in self.variants], dtype=np.int64)
+        self.widths = np.asarray([v.width for v in self.variants], dtype=np.int64)
+        with ThreadPoolExecutor(THREADS) as pool:
+            self.rows = list(pool.map(self._transform, self.domains))
+        self.own = np.concatenate([self._own(i) for i in range(len(self.domains))])
+
+    def _transform(self, d: Domain) -> NDArray[np.float32]:
+        rows = np.empty((int(self.widths.sum()), len(d.work)), dtype=np.float32)
+        for v in self.variants:
+            columns = np.stack(v.group.columns(d.work, v.parameters), axis=1)
+            rows[v.first : v.first + v.width] = d.work.transform(columns).T 
+        return rows
+
+    def _own(self, i: int) -> FloatArray:
+        edges = self.domains[i].edges
+        widest = int(self.widths.max())
+        out = np.zeros((len(edges) - 1, len(self.variants), widest, widest))
+        own_grams(self.rows[i], edges, self.starts, self.widths, out)
+        return out
+
+    def cross(self, right: Sequence[FloatArray]) -> FloatArray:
+        """Library × `right` per band, all recordings stacked: `(bands, M, columns)`."""
+        parts = []
+        for i, d in enumerate(self.domains):
+            columns = right[i].astype(np.float32)
+            parts += [self.rows[i][:, a:b] @ columns[a:b] for a, b in zip(d.edges[:-1], d.edges[1:], strict=True)]
+        return np.asarray(parts, dtype=np.float64)
+
+    def scan(self, frame: Frame, fit: Fit, column: int, cross: FloatArray, target: FloatArray) -> FloatArray:
+        """Log-likelihood of every variant added to the frame, starting from the noise of `fit`."""
+        base = frame.grams(column)
+        out = np.empty(len(self.variants))
+        arguments = (base, cross, self.own, np.ascontiguousarray(target), frame.counts, frame.firsts, frame.phi)
+        cuts = np.linspace(0, len(out), 2 * THREADS + 1).astype(int)
+
+        def run(low: int, high: int) -> None:
+            scan_range(*arguments, fit.weights, frame.q, self.widths, self.starts, ROUNDS, INNER, low, high, out)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            list(pool.map(run, cuts[:-1], cuts[1:]))
+        return out
+
+
+def _variants(groups: Sequence[Group], survey: object) -> list[Variant]:
+    variants, first = [], 0
+    for group in groups:
+        for parameters in group.grid(survey):  # type: ignore[arg-type]
+            width = len(group.linear(parameters))
+            variants.append(Variant(group, parameters, first, width))
+            first += width
+    return variants

@@ -1,0 +1,99 @@
+"""Bases without a name: any smooth function of one driver, to locate a mismatch and to catch unknown physics.
+
+A basis is a set of hat functions (piecewise linear, corners at quantiles of the driver), multiplied by the rate for
+the rate-times drivers.  They say on what a mismatch depends without saying what it is.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from training.diagnose.library import PPM, Group, Parameters, Survey
+from training.diagnose.work import FloatArray, Work
+
+HATS = 9
+Driver = Callable[[Work], FloatArray]
+
+
+def _rate(work: Work) -> FloatArray:
+    return work.w
+
+
+def temperature_rate(work: Work) -> FloatArray:
+    """dT/dt [K/s] smoothed over a minute, so that a coarse temperature channel keeps a slope."""
+    from training.diagnose.work import smooth
+
+    return np.gradient(smooth(work.temp, work.step_s, 40.0), work.step_s)
+
+
+def _acceleration_of_rate(work: Work) -> FloatArray:
+    return np.gradient(work.w, work.step_s)
+
+
+VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
+    "temperature": (lambda k: k.temp, False, frozenset({"temperature"})),
+    "temperature_rate": (temperature_rate, False, frozenset({"temperature", "clock"})),
+    "rate": (_rate, False, frozenset({"rate"})),
+    "rate_times_temperature": (lambda k: k.temp, True, frozenset({"temperature", "rate"})),
+    "rate_times_temperature_rate": (temperature_rate, True, frozenset({"temperature", "rate", "clock"})),
+    "time": (lambda k: k.t, False, frozenset({"clock"})),
+    "rate_times_time": (lambda k: k.t, True, frozenset({"rate", "clock"})),
+    "time_since_power_on": (lambda k: np.log(np.maximum(k.t, 0.0) + 60.0), False, frozenset({"clock", "power_on"})),
+    "angular_acceleration": (_acceleration_of_rate, False, frozenset({"rate", "clock"})),
+    "speed": (lambda k: k.extra["speed"], False, frozenset({"speed"})),
+    "acceleration": (lambda k: k.extra["accel"], False, frozenset({"acceleration"})),
+    "vibration": (lambda k: k.extra["vib2"], False, frozenset({"vibration"})),
+}
+CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
+    "heading": ("", frozenset({"heading"})),
+    "rate_times_heading": ("w", frozenset({"heading", "rate"})),
+}
+
+
+def knots_of(values: FloatArray, count: int = HATS) -> FloatArray:
+    """Corners: half by rank, half by range, so that neither crowded nor rare values are without one."""
+    ranks = np.quantile(values, np.linspace(0.0, 1.0, count))
+    span = np.linspace(ranks[0], ranks[-1], count)
+    return 0.5 * (ranks + span)
+
+
+def hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:
+    """Hat functions of the knots, the first left out (the nuisances carry the level)."""
+    unit = np.eye(len(knots))
+    return [np.interp(values, knots, unit[i]) for i in range(1, len(knots))]
+
+
+def generic_groups(works: list[Work]) -> tuple[Group, ...]:
+    """One group per driver these recordings have, with common knots."""
+    groups = []
+    for driver, (value, times_rate, needs) in VALUES.items():
+        try:
+            pooled = np.concatenate([value(work) for work in works])
+        except KeyError:
+            continue
+        if np.ptp(pooled) <= 0.0:
+            continue
+        knots = knots_of(pooled)
+        if np.any(np.diff(knots) <= 0.0):
+            continue
+        groups.append(_hat_group(driver, value, times_rate, needs, knots))
+    return (*groups, *(_cyclic_group(driver, prefix, needs) for driver, (prefix, needs) in CYCLIC.items()))
+
+
+def _hat_group(driver: str, value: Driver, times_rate: bool, needs: frozenset[str], knots: FloatArray) -> Group:
+    names = [(f"value_{i}", "ppm" if times_rate else "dps") for i in range(1, len(knots))]
+
+    def columns(work: Work, parameters: Parameters) -> list[FloatArray]:
+        basis = hats(value(work), knots)
+        return [PPM * work.w * column for column in basis] if times_rate else basis
+
+    return Group(driver, _one, columns, lambda p: names, needs)
+
+
+def _cyclic_group(driver: str, prefix: str, needs: frozenset[str]) -> Group:
+    keys = [f"{prefix}{kind}{k}" for k in (1, 2) for kind in ("cos", "sin")]
+    return Group(driver, _one, lambda work, p: [work.extra[key] for key in keys], lambda p: [(k, "dps") for k in keys], needs)
+
+
+def _one(survey: Survey) -> list[Parameters]:
+    return [{}]

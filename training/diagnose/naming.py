@@ -1,0 +1,207 @@
+"""Groups compete for the name: forward steps, a swap step, richer shapes of what was chosen, equivalence classes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import optimize
+
+from training.diagnose.design import Domain, Fit, Frame, Library, Variant
+from training.diagnose.library import Group, Parameters
+from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, scan
+from training.diagnose.work import FloatArray
+
+ALPHA = 1e-3
+SHAPE_ALPHA = 1e-2
+MAX_EFFECTS = 4
+MAX_SHAPES = 2
+CLASS_COST = 10.0
+CLASS_SHARE = 0.03
+SHARED_FAMILY_SHARE = 0.05
+OTHER_FAMILY_SHARE = 0.004
+STRONGER = 10.0
+
+
+@dataclass
+class Part:
+    """One chosen effect: its group and the points of its grid that make up its shape."""
+
+    group: Group
+    points: list[Parameters]
+    p_value: float = 1.0
+    alternatives: dict[str, float] = field(default_factory=dict)
+    chi2: float = 0.0
+
+    @property
+    def effect(self) -> str:
+        """The effect's id."""
+        return self.group.effect
+
+
+@dataclass
+class Model:
+    """The chosen parts with their joint fit; `slices[i]` are the columns of part i."""
+
+    parts: list[Part]
+    frame: Frame
+    fit: Fit
+
+    def slices(self) -> list[slice]:
+        """Columns of every part within the chosen ones."""
+        widths = [sum(len(p.group.linear(point)) for point in p.points) for p in self.parts]
+        ends = np.cumsum(widths)
+        return [slice(int(e - w), int(e)) for e, w in zip(ends, widths, strict=True)]
+
+
+def part_columns(part: Part, d: Domain) -> FloatArray:
+    """Columns of a part in the whitening domain, shape `(n, width)`."""
+    columns = [c for point in part.points for c in part.group.columns(d.work, point)]
+    return d.work.transform(np.stack(columns, axis=1))
+
+
+def build(parts: Sequence[Part], domains: Sequence[Domain], weights: FloatArray | None = None) -> Model:
+    """Fit the parts jointly with all nuisances and the noise."""
+    chosen = []
+    for d in domains:
+        blocks = [part_columns(part, d) for part in parts]
+        chosen.append(np.concatenate(blocks, axis=1) if blocks else np.empty((len(d.target), 0)))
+    frame = Frame(domains, chosen)
+    fit = frame.fit(frame.grams(), weights)
+    return Model(list(parts), frame, fit)
+
+
+def _width(parts: Sequence[Part]) -> int:
+    return sum(len(p.group.linear(point)) for p in parts for point in p.points)
+
+
+def score(model: Model) -> float:
+    """2 log-likelihood less the price of its columns; comparable between models of the same data."""
+    return 2.0 * model.fit.loglik - EXTRA_COLUMN * _width(model.parts)
+
+
+def residual_scan(library: Library, model: Model, null: Null) -> dict[str, Candidate]:
+    """Scan the library against what the model leaves."""
+    targets = []
+    for r, d in enumerate(model.frame.domains):
+        left = d.target - d.nuisance @ model.fit.nuisance[r][: d.nuisance.shape[1]]
+        targets.append((left - model.frame.chosen[r] @ model.fit.beta)[:, None])
+    frame = Frame(model.frame.domains, model.frame.chosen, targets)
+    fit = frame.fit(frame.grams(), model.fit.weights, rounds=4, inner=6)
+    return scan(library, frame, fit, null)
+
+
+def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: FloatArray) -> list[Part]:
+    """Improve the non-linear parameters of the last point of one part by a bounded simplex search."""
+    part = parts[index]
+    names = [n for n in part.group.continuous if n in part.points[-1]]
+    if not names:
+        return parts
+    others = [p for i, p in enumerate(parts) if i != index]
+    fixed = [np.concatenate([part_columns(p, d) for p in others], axis=1) if others else None for d in domains]
+    head = Part(part.group, part.points[:-1])
+    if head.points:
+        fixed = [c if f is None else np.concatenate([f, c], axis=1)
+                 for f, c in zip(fixed, [part_columns(head, d) for d in domains], strict=True)]
+    frame = Frame(domains, [f for f in fixed if f is not None])
+    start = part.points[-1]
+
+    def point(x: FloatArray) -> Parameters:
+        moved = {n: start[n] * float(np.exp(v)) if start[n] > 0 and n != "chirp_per_K" else start[n] + 0.01 * float(v)
+                 for n, v in zip(names, x, strict=True)}
+        return {**start, **moved}
+
+    def cost(x: FloatArray) -> float:
+        if np.max(np.abs(x)) > 0.7:
+            return 1e12
+        extra = [d.work.transform(np.stack(part.group.columns(d.work, point(x)), axis=1)) for d in domains]
+        return -frame.fit(frame.grams(extra=extra), weights, rounds=3, inner=6).loglik
+
+    step = 0.01 if "period_K" in names else 0.12
+    simplex = np.vstack([np.zeros(len(names)), step * np.eye(len(names))])
+    found = optimize.minimize(cost, np.zeros(len(names)), method="Nelder-Mead",
+                              options={"maxfev": 24 * len(names), "xatol": 0.003, "fatol": 0.1, "initial_simplex": simplex})
+    better = Part(part.group, [*part.points[:-1], point(found.x)], part.p_value)
+    return [*parts[:index], better, *parts[index + 1 :]]
+
+
+def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[list[Part], int]:
+    """The parts with a candidate added: a new effect, or a further shape of one that is there already."""
+    effect = candidate.variant.group.effect
+    for i, part in enumerate(parts):
+        if part.effect == effect:
+            grown = Part(part.group, [*part.points, candidate.variant.parameters], part.p_value)
+            return [*parts[:i], grown, *parts[i + 1 :]], i
+    return [*parts, Part(candidate.variant.group, [candidate.variant.parameters], p_value)], len(parts)
+
+
+def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candidate | None:
+    """The step to take: a new effect where it is significant, unless a richer shape of a chosen one does as well."""
+    room = {p.effect: len(p.points) <= MAX_SHAPES for p in parts}
+    shapes = [c for e, c in found.items() if room.get(e, False)]
+    fresh = [c for e, c in found.items() if e not in room] if len(parts) < MAX_EFFECTS else []
+    shape = max(shapes, key=lambda c: c.excess, default=None)
+    new = max(fresh, key=lambda c: c.excess, default=None)
+    if shape is not None and (null.p_value(shape.excess) > SHAPE_ALPHA):
+        shape = None
+    if new is not None and null.p_value(new.excess) > ALPHA:
+        new = None
+    if shape is not None and new is not None:
+        return new if new.excess > STRONGER + 1.5 * shape.excess else shape
+    return new or shape
+
+
+def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
+    """Choose effects step by step; after each step the chosen ones may be swapped for others."""
+    model = build([], domains)
+    for _ in range(MAX_EFFECTS * (1 + MAX_SHAPES)):
+        found = residual_scan(library, model, null)
+        step = _next(found, model.parts, null)
+        if step is None:
+            break
+        parts, index = _added(model.parts, step, null.p_value(step.excess))
+        parts = refine(parts, index, domains, model.fit.weights)
+        model = build(parts, domains, model.fit.weights)
+        if len(model.parts) > 1:
+            model = swapped(library, domains, null, model)
+    return model
+
+
+def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
+    """Replace a part by another group, or leave it out, where that scores better."""
+    for i in range(len(model.parts)):
+        if i >= len(model.parts):
+            break
+        rest = [p for j, p in enumerate(model.parts) if j != i]
+        without = build(rest, domains, model.fit.weights)
+        if 2.0 * (model.fit.loglik - without.fit.loglik) - null.mean[model.parts[i].effect] < null.excess_at(ALPHA):
+            model = without
+            continue
+        rival = best_rival(library, domains, null, without, {p.effect for p in model.parts})
+        if rival is not None and score(rival) > score(model) + 2.0:
+            model = rival
+    return model
+
+
+def best_rival(library: Library, domains: Sequence[Domain], null: Null, without: Model, barred: set[str]) -> Model | None:
+    """The best model with one group not in `barred` added to `without`."""
+    found = {e: c for e, c in residual_scan(library, without, null).items() if e not in barred}
+    if not found:
+        return None
+    top = max(found.values(), key=lambda c: c.excess)
+    parts, index = _added(without.parts, top, null.p_value(top.excess))
+    return build(refine(parts, index, domains, without.fit.weights), domains, without.fit.weights)
+
+
+def partial_chi2(model: Model) -> list[float]:
+    """d'² of every part as fitted, the other parts and all nuisances projected out."""
+    information, beta = model.fit.information, model.fit.beta
+    values = []
+    for part in model.slices():
+        inside = np.arange(part.start, part.stop)
+        outside = np.setdiff1d(np.arange(len(beta)), inside)
+        block = information[np.ix_(inside, inside)]
+        if len(outside):
+            bridge = information[np.ix_(inside, outside)]
+            block = block - bridge @ np.linalg.pinv(information[np.ix_(outside, outside)]) @ bridge.T
+        values.append(float(beta[inside] @ block @ beta[inside]))
+    return values

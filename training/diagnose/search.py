@@ -1,0 +1,96 @@
+"""Which groups compete, how strongly, and how often noise alone would do as well."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.diagnose.design import Domain, Fit, Frame, Library, Variant
+from training.diagnose.work import FloatArray
+
+SURROGATES = 48
+EXTRA_COLUMN = 3.0
+EULER = 0.5772156649
+
+
+@dataclass
+class Null:
+    """What noise alone does: per group the mean of its best statistic, and the largest excess over all groups."""
+
+    mean: dict[str, float]
+    location: float
+    width: float
+    seed: int
+    count: int
+
+    def p_value(self, excess: float) -> float:
+        """Family-wise p-value of an excess, from the Gumbel law fitted to the surrogate maxima."""
+        return float(-np.expm1(-np.exp(-(excess - self.location) / self.width)))
+
+    def excess_at(self, p: float) -> float:
+        """The excess with family-wise p-value `p`."""
+        return float(self.location - self.width * np.log(-np.log1p(-p)))
+
+
+@dataclass
+class Candidate:
+    """The best variant of one group in one scan."""
+
+    variant: Variant
+    index: int
+    statistic: float
+    excess: float = field(default=0.0)
+
+
+def statistics(library: Library, gains: FloatArray) -> dict[str, Candidate]:
+    """Best variant per group by 2 Δ log-likelihood, a further column costing `EXTRA_COLUMN`."""
+    best: dict[str, Candidate] = {}
+    for index, (variant, gain) in enumerate(zip(library.variants, gains, strict=True)):
+        value = float(gain) - EXTRA_COLUMN * (variant.width - 1)
+        effect = variant.group.effect
+        if effect not in best or value > best[effect].statistic:
+            best[effect] = Candidate(variant, index, value)
+    return best
+
+
+def scan(library: Library, frame: Frame, fit: Fit, null: Null | None) -> dict[str, Candidate]:
+    """All groups against the current frame; `excess` is the statistic beyond what noise gives that group."""
+    cross = library.cross(frame.base)
+    target = library.cross(frame.targets)[:, :, 0]
+    best = statistics(library, 2.0 * (library.scan(frame, fit, 0, cross, target) - fit.loglik))
+    if null is not None:
+        for effect, candidate in best.items():
+            candidate.excess = candidate.statistic - null.mean[effect]
+    return best
+
+
+def surrogate_null(
+    library: Library, domains: Sequence[Domain], fit: Fit, seed: int, inflate: float = 1.0, count: int = SURROGATES
+) -> Null:
+    """Scan `count` recordings of pure noise drawn from the fitted spectra, end to end."""
+    rng = np.random.default_rng(seed)
+    frame = Frame(domains)
+    targets = [_noise(rng, d, s, count) for d, s in zip(domains, _split(fit.spectrum * inflate, domains), strict=True)]
+    frame.targets = targets
+    cross = library.cross(frame.base)
+    projected = library.cross(targets)
+    table = []
+    for column in range(count):
+        null_fit = frame.fit(frame.grams(column), fit.weights)
+        gains = 2.0 * (library.scan(frame, null_fit, column, cross, projected[:, :, column]) - null_fit.loglik)
+        table.append({effect: c.statistic for effect, c in statistics(library, gains).items()})
+    mean = {effect: float(np.mean([row[effect] for row in table])) for effect in table[0]}
+    maxima = np.asarray([max(row[e] - mean[e] for e in row) for row in table])
+    width = max(float(np.std(maxima, ddof=1)) * np.sqrt(6.0) / np.pi, 1.0)
+    return Null(mean, float(np.mean(maxima)) - EULER * width, width, seed, count)
+
+
+def _split(values: FloatArray, domains: Sequence[Domain]) -> list[FloatArray]:
+    cuts = np.cumsum([len(d.edges) - 1 for d in domains])[:-1]
+    return np.split(values, cuts)
+
+
+def _noise(rng: np.random.Generator, d: Domain, spectrum: FloatArray, count: int) -> NDArray[np.float64]:
+    deviation = np.repeat(np.sqrt(spectrum), np.diff(d.edges))
+    return rng.standard_normal((len(deviation), count)) * deviation[:, None]
