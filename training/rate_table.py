@@ -78,7 +78,11 @@ class RateTable:
 def simulate(seed: int, gyro: ReferenceGyro | None = None, protocol: Protocol | None = None) -> RateTable:
     """Run the simulated experiment once."""
     gyro, protocol = gyro or ReferenceGyro(), protocol or Protocol()
-    readings = simulate_samples(seed, gyro, protocol)
+    return average(simulate_samples(seed, gyro, protocol), seed, gyro, protocol)
+
+
+def average(readings: np.ndarray, seed: int, gyro: ReferenceGyro, protocol: Protocol) -> RateTable:
+    """The table of one experiment from its samples, shape `(points, samples)`."""
     temps, rates = np.array(protocol.temps_degC, float), np.array(protocol.rates_dps, float)
     return RateTable(
         temp_degC=np.repeat(temps, len(rates)),

@@ -1,0 +1,36 @@
+"""Which samples share their error: whole recordings, whole soaks, or, in one recording over time, whole blocks."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from training.table import Recording
+
+BLOCKS = 20
+SAME_SOAK_K = 1.0
+
+
+def soaks(temp_degC: np.ndarray) -> np.ndarray:
+    """Index of the soak of every rate-table point, in the order given: a new one where the temperature steps."""
+    steps = np.abs(np.diff(temp_degC)) > SAME_SOAK_K
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
+def groups_of(recordings: Sequence[Recording], whole: bool = False) -> tuple[np.ndarray, str]:
+    """Group of every row of the recordings put end to end, and what a group is.
+
+    Several recordings: each is one group. One without time: its soaks. One over time: BLOCKS blocks of equal
+    duration. `whole` False lets several rate tables count by soak, too.
+    """
+    timed = any("t_s" in recording for recording in recordings)
+    if len(recordings) > 1 and (whole or timed):
+        return np.repeat(np.arange(len(recordings)), [len(r) for r in recordings]), "recording"
+    if not timed:
+        parts, first = [], 0
+        for recording in recordings:
+            parts.append(soaks(recording["temp_degC"]) + first)
+            first = int(parts[-1][-1]) + 1
+        return np.concatenate(parts), "soak"
+    t = recordings[0]["t_s"]
+    share = (t - t[0]) / max(float(t[-1] - t[0]), 1e-9)
+    return np.minimum((share * BLOCKS).astype(int), BLOCKS - 1), "block"
