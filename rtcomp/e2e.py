@@ -11,7 +11,7 @@ A payload too short for its header is never valid. What the counter must do is t
 
 import numpy as np
 
-from rtcomp.jit import kernel
+from rtcomp.jit import hot_kernel
 
 
 def _table(polynomial: int, bits: int) -> np.ndarray:
@@ -33,7 +33,7 @@ _BYTE = np.uint64(0xFF)
 _WORD = np.uint64(0xFFFF)
 
 
-@kernel
+@hot_kernel
 def crc8_j1850(data, start, stop, register):
     """Advance an SAE J1850 register over `data[start:stop]`, without initial or final inversion."""
     crc = np.uint64(register)
@@ -42,7 +42,7 @@ def crc8_j1850(data, start, stop, register):
     return crc
 
 
-@kernel
+@hot_kernel
 def crc16_ccitt(data, start, stop, register):
     """Advance a CCITT register over `data[start:stop]` (CCITT-FALSE when it starts at 0xFFFF)."""
     crc = np.uint64(register)
@@ -51,7 +51,7 @@ def crc16_ccitt(data, start, stop, register):
     return crc
 
 
-@kernel
+@hot_kernel
 def profile1a_crc(data, length, data_id):
     """CRC of AUTOSAR profile 1A: DataID low byte, high byte, then everything behind the CRC byte."""
     sender = np.uint64(data_id)
@@ -59,20 +59,20 @@ def profile1a_crc(data, length, data_id):
     return crc8_j1850(data, np.uint64(1), np.uint64(length), crc)
 
 
-@kernel
+@hot_kernel
 def profile1a_ok(data, length, data_id):
     """Whether byte 0 is the profile 1A CRC of the payload."""
     return length >= 2 and np.uint64(data[0]) == profile1a_crc(data, length, data_id)
 
 
-@kernel
+@hot_kernel
 def profile1a_protect(data, length, data_id, counter):
     """Write `counter` (0…14) into the low nibble of byte 1 and then the CRC into byte 0, in place."""
     data[1] = (np.uint64(data[1]) & np.uint64(0xF0)) | np.uint64(counter)
     data[0] = profile1a_crc(data, length, data_id)
 
 
-@kernel
+@hot_kernel
 def profile5_crc(data, length, data_id, offset):
     """CRC of AUTOSAR profile 5: everything but the CRC at `offset`, then DataID low byte and high byte."""
     crc = crc16_ccitt(data, np.uint64(0), np.uint64(offset), _WORD)
@@ -82,7 +82,7 @@ def profile5_crc(data, length, data_id, offset):
     return ((crc << _8) & _WORD) ^ _CCITT[(crc >> _8) ^ (sender >> _8)]
 
 
-@kernel
+@hot_kernel
 def profile5_ok(data, length, data_id, offset):
     """Whether the two bytes at `offset` (little-endian) are the profile 5 CRC of the payload."""
     if length < offset + 3:
@@ -91,7 +91,7 @@ def profile5_ok(data, length, data_id, offset):
     return sent == profile5_crc(data, length, data_id, offset)
 
 
-@kernel
+@hot_kernel
 def profile5_protect(data, length, data_id, counter, offset):
     """Write `counter` (0…255) behind the CRC and then the CRC at `offset` (little-endian), in place."""
     data[offset + 2] = counter
@@ -100,7 +100,7 @@ def profile5_protect(data, length, data_id, counter, offset):
     data[offset + 1] = crc >> _8
 
 
-@kernel
+@hot_kernel
 def toyota_checksum(data, length, can_id):
     """Toyota's checksum: bytes of the id, length, all payload bytes but the last, summed modulo 256."""
     total = np.uint64(length)
@@ -113,7 +113,7 @@ def toyota_checksum(data, length, can_id):
     return total & _BYTE
 
 
-@kernel
+@hot_kernel
 def toyota_ok(data, length, can_id):
     """Whether the last byte is Toyota's checksum of the payload."""
     return length >= 1 and np.uint64(data[length - 1]) == toyota_checksum(data, length, can_id)

@@ -189,7 +189,10 @@ def predict_error(c, s, ch, t_ns, rate):
     for g in range(c.group_start[ch], c.group_start[ch + 1]):
         s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = s.values[ch, LAST_TEMP], rate, s.values[ch, LAST_COIL]
         s.inputs[TEMP_RATE], s.inputs[LAG_TEMP], s.inputs[TIME] = s.filters[g, 0, 1], s.filters[g, 1, 1], t
-        for k in range(N_INPUTS):
+        for limited in range(N_INPUTS):
+            k = c.limits[g, limited]
+            if k < 0:
+                break
             low, high = c.validity[g, k, 0], c.validity[g, k, 1]
             if s.inputs[k] < low or s.inputs[k] > high:
                 flags |= EXTRAPOLATING
@@ -241,7 +244,8 @@ def rules_error(c, s, g):
         largest = max(largest, exponent)
     weights, weighted = 0.0, 0.0
     for j in range(start, stop):
-        firing = math.exp(s.exponents[j] - largest)
+        below = s.exponents[j] - largest
+        firing = 1.0 if below == 0.0 else math.exp(below)
         output = c.consequents[j, 0]
         for k in range(c.group_size[g]):
             output += c.consequents[j, k + 1] * s.inputs[c.group_inputs[g, k]]
