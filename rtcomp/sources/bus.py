@@ -34,8 +34,8 @@ class Source(Protocol):
     """Where frames come from while they happen.
 
     `receive` waits at most `timeout_s` for frames and returns what there is by then, perhaps nothing: a view
-    of shape `(n,)` of FRAME that is good until the next call. Losses, clock steps and controller errors are in
-    it as error frames (see `rtcomp.frames`). `lost` counts the frames that the receiver's buffers dropped.
+    of shape `(n,)` of FRAME that is good until the next call. Losses, clock steps and controller errors are
+    in it as error frames (see `rtcomp.frames`). `lost` counts the frames that the receiver's buffers dropped.
     """
 
     @property

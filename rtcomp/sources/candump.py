@@ -85,7 +85,7 @@ class CandumpReader(Iterator[NDArray[Any]]):
         if self.frames_read == 0:
             raise RequestError(
                 f"{self.path}: none of its {self.lines_read} lines is a CAN frame; wanted candump lines like "
-                "`(1436509052.249713) can0 123#11AABB`: record with `candump -L`, or name the file by its format"
+                "`(1436509052.249713) can0 123#11AABB`: record with `candump -L`, or name the file by format"
             )
 
     def _parse_blocks(self) -> Generator[NDArray[Any], None, str]:

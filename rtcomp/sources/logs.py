@@ -8,9 +8,10 @@ import struct
 import zlib
 from collections.abc import Iterator
 from importlib.util import find_spec
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from numpy.typing import NDArray
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-BATCH = 4096  # messages turned into one array
+BATCH = 512  # messages of one array; more of them at once wake the garbage collector
 HEADER_LINES = 100  # of an .asc log, in which its dates are looked for
 ASC_DATES = (("date ", 2), ("Begin Triggerblock ", 3))
 FORMATS = (".log", ".asc", ".blf", ".trc", ".mf4", ".csv", ".db")
@@ -56,8 +57,8 @@ def read_log(path: str | os.PathLike[str]) -> Iterator[NDArray[Any]]:
     Formats: candump `.log`, `.asc`, `.blf`, `.trc`, `.mf4` (needs asammdf), `.csv`, `.db`; gzip of the text
     formats. Times are UNIX ns where the log knows them (`.asc` through its date), exact for candump, and as
     exact as python-can's float seconds (0.2 µs) for the others.
-    Raises RequestError for a file that is missing, of no known format, damaged, truncated or without frames; the
-    frames before the damage are passed on first.
+    Raises RequestError for a file that is missing, of no known format, damaged, truncated or without frames;
+    the frames before the damage are passed on first.
     """
     path = Path(path)
     open_log(path).close()  # a missing file is refused here, not at the first array
@@ -66,21 +67,24 @@ def read_log(path: str | os.PathLike[str]) -> Iterator[NDArray[Any]]:
 
 
 def _read_by_python_can(path: Path, kind: str) -> Iterator[NDArray[Any]]:
-    count = 0
+    count, missing = 0, 0
     try:
-        with _open_reader(path, kind) as reader:
-            messages = iter(reader)
-            while batch := list(islice(messages, BATCH)):
-                yield to_frames(batch)
-                count += len(batch)
-            missing = _missing_bytes(reader, path)
+        with open_log(path) as file:
+            reader = _reader(path, kind, file)
+            with reader:
+                messages = iter(reader)
+                while batch := list(islice(messages, BATCH)):
+                    yield to_frames(batch)
+                    count += len(batch)
+            if kind == ".blf":  # its reader does not mind a missing end
+                missing = getattr(reader, "file_size", 0) - path.stat().st_size
     except _damage(kind) as error:
         reason = f"{error}" or type(error).__name__
         raise RequestError(
             f"{path}: unreadable as {kind} after {count} frames ({reason}); wanted a complete {kind} log: "
             "copy it again, or give it the suffix of its format"
         ) from error
-    if missing:
+    if missing > 0 and path.suffix.lower() != ".gz":
         raise RequestError(
             f"{path}: {missing} bytes shorter than its header says, {count} frames read; wanted a complete "
             f"{kind} log: copy it again"
@@ -89,18 +93,22 @@ def _read_by_python_can(path: Path, kind: str) -> Iterator[NDArray[Any]]:
         raise RequestError(f"{path}: holds no CAN frame; wanted a {kind} log with at least one")
 
 
-def _open_reader(path: Path, kind: str) -> "MessageReader":
-    """python-can's reader, with absolute times where the format leaves a choice."""
+def _reader(path: Path, kind: str, file: BinaryIO) -> "MessageReader":
+    """python-can's reader over our open file, with absolute times where the format leaves a choice."""
     import can
 
     if kind == ".mf4" and find_spec("asammdf") is None:
         raise RequestError(f"{path}: reading .mf4 needs asammdf; install it with `pip install 'rtcomp[mf4]'`")
-    if kind != ".asc":
+    if kind == ".mf4" and file.read(3) != b"MDF":  # asammdf says so too, but leaves a half-made object behind
+        raise ValueError("it does not begin with MDF")
+    if kind in (".mf4", ".db"):  # these want a path
         return can.LogReader(path)
-    options = {"relative_timestamp": not _asc_date_is_known(path)}
-    if path.suffix.lower() == ".gz":
-        return can.ASCReader(gzip.open(path, "rt"), **options)
-    return can.ASCReader(path, **options)
+    if kind == ".blf":
+        return can.BLFReader(file)
+    text = TextIOWrapper(file, encoding="utf-8", errors="replace")
+    if kind == ".asc":
+        return can.ASCReader(text, relative_timestamp=not _asc_date_is_known(path))
+    return can.TRCReader(text) if kind == ".trc" else can.CSVReader(text)
 
 
 def _asc_date_is_known(path: Path) -> bool:
@@ -121,13 +129,6 @@ def _asc_date_is_known(path: Path) -> bool:
     return True
 
 
-def _missing_bytes(reader: "MessageReader", path: Path) -> int:
-    """How many bytes a BLF file lacks of the size in its header; its reader does not mind."""
-    if getattr(reader, "file_size", 0) == 0 or path.suffix.lower() == ".gz":
-        return 0
-    return max(0, reader.file_size - path.stat().st_size)
-
-
 def _damage(kind: str) -> tuple[type[Exception], ...]:
     """What python-can's reader of this format raises on a damaged or foreign file."""
     import can
@@ -141,5 +142,5 @@ def _damage(kind: str) -> tuple[type[Exception], ...]:
     if kind == ".mf4":
         from asammdf.blocks.utils import MdfException
 
-        return (*text, MdfException, AttributeError, TypeError, AssertionError)
+        return (*text, MdfException, AttributeError, TypeError, AssertionError, RecursionError)
     return text
