@@ -38,6 +38,5 @@ def command(scenario: str, output: Path, seed: int | None, as_json: bool) -> Non
         return
     size = f"{told['rows']} rows" if told["frames"] is None else f"{told['frames']} frames"
     click.echo(f"{told['title']} (simulated, seed {told['seed']})")
-    click.echo(
-        f"{told['file']}: {size}, error {told['rms_error_dps']:.3g} °/s rms, {told['max_error_dps']:.3g} °/s at most"
-    )
+    click.echo(f"{told['file']}: {size}, {', '.join(told['columns'])}")
+    click.echo(f"error {told['rms_error_dps']:.3g} °/s rms, {told['max_error_dps']:.3g} °/s at most")

@@ -13,5 +13,5 @@ class Draw:
         self.seed = seed
 
     def of(self, purpose: str) -> np.random.Generator:
-        """Return the generator of one purpose: the same for the same seed and name, independent of all others."""
+        """Return the generator of one purpose, the same for the same seed and name."""
         return np.random.default_rng([self.seed, zlib.crc32(purpose.encode())])

@@ -48,13 +48,13 @@ def true_course(scenario: Scenario, draw: Draw) -> Truth:
 
 
 def coil_temperature(t_s: np.ndarray, housing_degC: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """Return the coil temperature [°C]: the housing's through one or two lags (PHYSICS.md A3), shape `(n,)`."""
+    """Return the coil temperature [°C], the housing's through one or two lags (A3), shape `(n,)`."""
     coil = lowpass(t_s, housing_degC, scenario.gyro.coil_tau_s)
     return lowpass(t_s, coil, scenario.gyro.coil_tau2_s)
 
 
 def turned(t_s: np.ndarray, rate_dps: np.ndarray) -> np.ndarray:
-    """Return the yaw angle [°] since the start by the trapezium rule, anticlockwise positive, shape `(n,)`."""
+    """Return the yaw angle [°] since the start (trapezium rule), anticlockwise positive, shape `(n,)`."""
     steps = 0.5 * (rate_dps[1:] + rate_dps[:-1]) * np.diff(t_s)
     return np.concatenate(([0.0], np.cumsum(steps)))
 

@@ -92,7 +92,7 @@ class Circles(Struct, frozen=True, forbid_unknown_fields=True, tag="circles", ta
     speed_mps: float = 3.0
 
     def path(self, t_s: np.ndarray, generator: np.random.Generator) -> Path:
-        """Return the rate [°/s] and speed [m/s], each of shape `(n,)`; ramps of 2 s, speed only when turning."""
+        """Return the rate [°/s], with ramps of 2 s, and the speed [m/s] it goes with, each `(n,)`."""
         times, rates, now, k = [0.0], [0.0], 0.0, 0
         while now < t_s[-1]:
             rate = self.rates_dps[k % len(self.rates_dps)]

@@ -39,7 +39,7 @@ def truth_of(recording: Recording, scenario: Scenario, static: bool = False) -> 
 
 
 def bridged(recording: Recording, column: str) -> np.ndarray:
-    """Return a column with NaNs bridged linearly over the rows; RequestError if it is not there or all NaN."""
+    """Return a column with NaNs bridged linearly over the rows; RequestError if it has no value."""
     values = recording.get(column)
     if values is None or not np.isfinite(values).any():
         raise RequestError(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -107,7 +108,7 @@ def recorded(scenario: Scenario, columns: Columns, draw: Draw) -> Columns:
     return columns
 
 
-def simulate_file(name: str | Path, output: Path, seed: int | None = None) -> dict[str, object]:
+def simulate_file(name: str | Path, output: Path, seed: int | None = None) -> dict[str, Any]:
     """Simulate a scenario (bundled name or file) into a table or a candump log, and describe it.
 
     Raises RequestError for a bad scenario or an output whose ending is not known.

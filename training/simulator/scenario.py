@@ -4,6 +4,7 @@ Strict TOML: an unknown key, a wrong type or an unknown effect is refused with i
 power-on. Without an entry the gyro is the reference gyro of PHYSICS.md §4.2 and §4.4.
 """
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,7 +22,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class Environment(Struct, frozen=True, forbid_unknown_fields=True):
-    """Ambient temperature as a polyline [s, °C], the housing that follows it, and its own heat after power-on."""
+    """Ambient temperature as a polyline [s, °C], the housing that follows it, and its own heat."""
 
     ambient_degC: Annotated[list[tuple[float, float]], Meta(min_length=1)] = field(
         default_factory=lambda: [(0.0, 25.0)]
@@ -41,7 +42,7 @@ class TemperatureSensor(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Surface(Struct, frozen=True, forbid_unknown_fields=True):
-    """Open-loop output m = G(T)·sin(K(T)·ω)/K0, K = K0(1 + αh), G = 1 + g0 + g1·h + g2·h² (PHYSICS.md §4.2)."""
+    """Open loop, m = G(T)·sin(K(T)·ω)/K0, K = K0(1 + αh), G = 1 + g0 + g1·h + g2·h² (PHYSICS.md §4.2)."""
 
     kind: Literal["open_loop_sine"] = "open_loop_sine"
     at: Literal["coil", "housing"] = "coil"  # which temperature the optics have
@@ -167,7 +168,7 @@ def check(scenario: Scenario, where: str) -> None:
         except RequestError as error:
             raise RequestError(f"{where}: {error}") from error
     times = [time for time, _ in scenario.environment.ambient_degC]
-    if any(later <= earlier for earlier, later in zip(times, times[1:], strict=False)):
+    if any(later <= earlier for earlier, later in pairwise(times)):
         raise RequestError(f"{where}: times of environment.ambient_degC do not rise: {times}; sort them")
     heat = scenario.environment
     if len(heat.self_heating_K) != len(heat.self_heating_tau_s):

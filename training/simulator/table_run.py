@@ -3,7 +3,7 @@
 import numpy as np
 
 from rtcomp.errors import RequestError
-from training.effects.base import Columns, FrameEffect, TimingEffect
+from training.effects.base import Columns, FrameEffect, NoiseEffect, TimingEffect
 from training.effects.noise import DPS_PER_ARW
 from training.effects.truth import Truth
 from training.effects.units import PPM
