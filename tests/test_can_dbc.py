@@ -32,6 +32,7 @@ UINT16 = st.integers(0, 2**16 - 1)
 ANCHORS = {
     "fog": 0.0036,
     "fog_fd": 0.0036,
+    "fog_simulated": 0.0036,
     "bosch_mm5_10": 18,
     "bosch_mm7_10": 18,
     "aceinna_openimu300": 28,

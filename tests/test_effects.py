@@ -14,13 +14,14 @@ from training.effects.truth import Truth
 from training.effects.units import DEG_PER_H, EARTH_RATE_DPS
 
 PHYSICS_IDS = """
-bias_temperature shupe thermal_lag bias_hysteresis polarization_ripple scale_temperature scale_nonlinearity
-scale_hysteresis scale_temperature_rate scale_asymmetry source_ageing multiplicative_noise dead_band saturation
-bandwidth quantization supply_ripple timestamp_skew clock_drift timing_jitter frozen_frames dropped_frames
-counter_wrap unit_error compensation_table auto_zero bias_warmup scale_warmup noise_level bias_step scale_step
-bias_drift acceleration vibration_rectification misalignment earth_rate magnetic table_eccentricity scale_error
-bias_error
-""".split()
+bias_temperature shupe thermal_lag bias_hysteresis polarization_ripple scale_temperature
+scale_nonlinearity scale_hysteresis scale_temperature_rate scale_asymmetry source_ageing
+multiplicative_noise dead_band saturation bandwidth quantization supply_ripple timestamp_skew
+clock_drift timing_jitter frozen_frames dropped_frames counter_wrap unit_error
+compensation_table auto_zero bias_warmup scale_warmup noise_level bias_step scale_step
+bias_drift acceleration vibration_rectification misalignment earth_rate magnetic
+table_eccentricity scale_error bias_error
+"""
 
 ALL = list(catalogue().values())
 ADDING = [entry for entry in ALL if isinstance(entry, ErrorEffect)]
@@ -59,7 +60,7 @@ def loop_area(error, truth, period_s):
 
 
 def test_every_id_of_the_physics_table_is_there_and_no_other():
-    assert sorted(catalogue()) == sorted(PHYSICS_IDS)
+    assert sorted(catalogue()) == sorted(PHYSICS_IDS.split())
 
 
 @pytest.mark.parametrize("entry", ALL, ids=by_id)
@@ -113,7 +114,7 @@ def test_an_effect_leaves_the_truth_alone(entry):
 
 @pytest.mark.parametrize("entry", RUNTIME, ids=by_id)
 def test_runtime_correction_equals_the_effect(entry):
-    """The compiled step, given the true rate, predicts just what the catalogue adds: two codes, one equation."""
+    """The compiled step, given the true rate, predicts what the catalogue adds: two codes, one equation."""
     truth = course()
     shown = truth.rate_dps
     if isinstance(entry, OutputEffect):  # the runtime sees the measured rate

@@ -10,6 +10,9 @@ from rtcomp.compensator import predict
 from rtcomp.errors import RequestError
 from rtcomp.fog_format import RATE_ID, TEMPERATURE_ID
 from rtcomp.model import OpenLoopSine, new_model
+from rtcomp.pipeline import Pipeline
+from rtcomp.plan import compile_map
+from rtcomp.signal_map import load_map
 from rtcomp.sources.candump import read_candump
 from training.effects.base import ErrorEffect
 from training.effects.catalogue import catalogue
@@ -79,6 +82,22 @@ def test_a_measurement_chain_effect_changes_the_rate_only(name):
     changed = {column for column in plain.columns if not np.array_equal(plain[column], concealed[column])}
     assert changed <= {"rate_dps"}
     assert changed or name == "saturation"  # nothing saturates at 45 °/s
+
+
+@pytest.mark.parametrize("case", ["nominal", "hard"])
+@pytest.mark.parametrize("name", list(catalogue()))
+def test_every_effect_can_be_switched_on_from_a_file(name, case, tmp_path):
+    file = tmp_path / "one.toml"
+    values = getattr(catalogue()[name], case)()
+    given = ", ".join(f"{key} = {float(value)!r}" for key, value in values.items())
+    motion = 'title = "one effect"\nrate_hz = 5.0\nmotion = {kind = "drive"}\n'
+    file.write_text(motion + f'gyro = {{effects = [{{effect = "{name}", case = "{case}"}}]}}')
+    by_case = simulate(load_scenario(file))
+    file.write_text(motion + f'gyro = {{effects = [{{effect = "{name}", parameters = {{{given}}}}}]}}')
+    by_value = simulate(load_scenario(file))
+    for column, values in by_case.columns.items():
+        assert np.array_equal(values, by_value[column])
+        assert np.all(np.isfinite(values))
 
 
 def test_waveforms_of_several_effects_add():
@@ -276,6 +295,19 @@ def test_log_carries_rates_temperatures_and_lost_counters(tmp_path):
                                       done.sent["temp_degC"])).max() < 0.0051  # fmt: skip
 
 
+def test_log_of_the_demo_goes_through_the_bundled_map_unflagged():
+    drive = load_scenario("demo_drive")
+    done = run(drive)
+    base = OpenLoopSine(**{name: getattr(Surface(), name) for name in OpenLoopSine.__struct_fields__})
+    pipeline = Pipeline(compile_map(load_map("fog_simulated")), {"yaw": [new_model(base=base)]})
+    samples = pipeline.process_all(log_frames(done, drive)).corrected
+    np.testing.assert_allclose(samples["rate_raw_dps"], done.recording["rate_dps"], atol=0.51e-6)
+    np.testing.assert_allclose(samples["ref_rate_dps"], done.recording["ref_rate_dps"], atol=0.51e-6)
+    assert not samples["flags"].any()
+    before, after = (np.std(samples[name] - samples["ref_rate_dps"]) for name in ("rate_raw_dps", "rate_dps"))
+    assert after < before / 50
+
+
 def test_a_frozen_frame_repeats_its_bytes_in_a_log():
     frozen = scenario(Switch("frozen_frames", {"events_per_h": 600.0, "duration_s": 1.0}))
     done = run(frozen)
@@ -287,8 +319,10 @@ def test_a_frozen_frame_repeats_its_bytes_in_a_log():
 
 
 def test_every_bundled_scenario_runs():
-    assert {"rate_table", "chamber_cycle", "cold_start_drive", "parking", "creep", "heading_circles", "demo_drive",
-            "paper_omission"} <= set(bundled_scenarios())  # fmt: skip
+    promised = (
+        "rate_table chamber_cycle cold_start_drive parking creep heading_circles demo_drive paper_omission"
+    )
+    assert set(promised.split()) <= set(bundled_scenarios())
     for name in bundled_scenarios():
         short = msgspec.structs.replace(load_scenario(name), rate_hz=2.0)
         recording = simulate(short)
