@@ -9,7 +9,7 @@ from rtcomp import __version__
 from rtcomp.model import Model, new_model
 from training.ts import TsFit
 
-MARGIN = 0.02  # of the range: the corner of the range is rarely among the training points
+MARGIN = 0.1  # of the range: consequents are linear, and half a step beyond the last soak is no leap
 
 
 def ts_model(found: TsFit, names: Sequence[str], inputs: np.ndarray, **fields: Any) -> Model:

@@ -45,7 +45,7 @@ class Settings:
 
     fuzziness: float = 2.0
     tolerance: float = 1e-4
-    max_iterations: int = 500
+    max_iterations: int = 1000
     max_ratio: float = 1e12
     shrinkage: float = 0.0
     starts: int = 3

@@ -47,7 +47,7 @@ class TsFit:
     """Rules in physical units, how they came about, and the residual on the training rows."""
 
     rules: Rules
-    clustering: Clustering
+    clustering: Clustering | None  # None where it was refined away together with other terms
     method: str
     residual_std_dps: float
     notes: list[str]
@@ -123,8 +123,6 @@ def _consequents(inputs: np.ndarray, error: np.ndarray, found: Clustering, optio
         rows = _sample(len(inputs), options.clustering.seed, notes)
         antecedents = refine(scaling.to_z(inputs[rows]), error[rows], antecedents)
     theta, residual = recursive_consequents(inputs, error, scaling, antecedents, options)
-    for note in notes:
-        log.warning(note)
     return TsFit(scaling.rules(antecedents, theta, options.offset), found, options.method, residual, notes)
 
 
