@@ -60,6 +60,7 @@ class LoopState(NamedTuple):
     rejected: np.ndarray  # int64 (causes)
     totals: np.ndarray  # int64 (TOTALS)
     flag_counts: np.ndarray  # int64 (32): samples per flag bit
+    scores: np.ndarray  # float64 (channels, 3): samples with a reference, sums of squared raw and corrected error
 
 
 def new_loop_state(plan: Plan) -> LoopState:
@@ -74,6 +75,7 @@ def new_loop_state(plan: Plan) -> LoopState:
         np.zeros(len(CAUSES), np.int64),
         np.zeros(len(TOTALS), np.int64),
         np.zeros(32, np.int64),
+        np.zeros((channels, 3)),
     )
 
 
@@ -285,7 +287,12 @@ def put_sample(plan, c, s, loop, frames, i, ch, t_ns, rate, out, row):
     taken = loop.times[ch, TEMPERATURE]
     out[row].temp_age_s = np.nan if taken == NEVER else (t_ns - taken) * 1e-9
     out[row].flags = flags
-    out[row].ref_rate_dps = loop.values[ch, REFERENCE]
+    reference = loop.values[ch, REFERENCE]
+    out[row].ref_rate_dps = reference
+    if not np.isnan(reference):
+        loop.scores[ch, 0] += 1.0
+        loop.scores[ch, 1] += (rate - reference) ** 2
+        loop.scores[ch, 2] += (rate - correction - reference) ** 2
     loop.seq[ch] += np.uint64(1)
     loop.totals[SAMPLES] += 1
     count_flags(loop, flags)

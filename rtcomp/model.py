@@ -104,16 +104,18 @@ def load_model(path: str | Path) -> Model:
 
     Raises RequestError naming the file and the reason.
     """
-    path = Path(path)
+    return parse_model(_read(Path(path)), str(path))
+
+
+def _read(path: Path) -> str:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise RequestError(f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except OSError as error:
         raise RequestError(f"cannot read model {path}: {error.strerror}; give the path of a model file") from error
     except UnicodeDecodeError as error:
         raise RequestError(f"{path}: not UTF-8 text; a model file is JSON (see `rtcomp train`)") from error
-    return parse_model(text, str(path))
 
 
 def parse_model(text: str, name: str) -> Model:
@@ -152,6 +154,19 @@ def model_document(model: Model) -> dict[str, Any]:
     if document["signature"] is None:
         del document["signature"]
     return document | {"sha256": document_hash(document)}
+
+
+def seal_model(path: str | Path) -> Model:
+    """Write the hash of a file's contents into it, whatever hash it had; returns the checked model.
+
+    Raises RequestError for anything that is not a model.
+    """
+    document = _parse_json(_read(Path(path)), str(path))
+    sealed = {key: value for key, value in document.items() if key not in NOT_HASHED}
+    sealed["sha256"] = document_hash(document)
+    model = parse_model(json.dumps(sealed), str(path))
+    write_document(sealed, path)
+    return model
 
 
 def save_model(model: Model, path: str | Path) -> None:

@@ -50,6 +50,8 @@ class Pipeline:
         self.stacks: list[Sequence[Model]] = self._stacks(models or {})
         self.compiled: Compiled = compile_models(self.stacks)
         self.state: State = new_state(self.compiled)
+        self._out = np.zeros(BATCH + len(self.names), CORRECTED)
+        self._channel = np.zeros(len(self._out), np.uint8)
         if power_on_ns is not None:
             self.power_on(power_on_ns)
 
@@ -65,8 +67,7 @@ class Pipeline:
 
     def process(self, frames: np.ndarray) -> Iterator[Samples]:
         """Take in frames; yields samples in pieces of bounded size, each valid until the next is asked for."""
-        out = np.zeros(BATCH + len(self.names), CORRECTED)
-        channel = np.zeros(len(out), np.uint8)
+        out, channel = self._out, self._channel
         done = 0
         while done < len(frames):
             done, count = run_loop(
@@ -122,6 +123,12 @@ class Pipeline:
     def lost_frames(self) -> int:
         """Frames the receiver reports as lost before they reached us."""
         return int(self.loop.totals[LOST_FRAMES])
+
+    @property
+    def rms_dps(self) -> tuple[float, float] | None:
+        """RMS error [°/s] against the reference, raw and corrected, over all channels; None without a reference."""
+        n, raw, corrected = self.loop.scores.sum(axis=0)
+        return (float(np.sqrt(raw / n)), float(np.sqrt(corrected / n))) if n else None
 
     @property
     def rejected(self) -> dict[str, int]:

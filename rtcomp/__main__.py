@@ -1,0 +1,5 @@
+"""`python -m rtcomp` is `rtcomp`."""
+
+from rtcomp.cli import main
+
+main()

@@ -1,0 +1,245 @@
+"""`rtcomp run`: one thread receives and corrects, another publishes; everything lost is counted."""
+
+import contextlib
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcomp.config import RunConfig
+from rtcomp.errors import RequestError
+from rtcomp.frame_loop import FRAMES
+from rtcomp.model import Model, load_model, model_document
+from rtcomp.pipeline import Pipeline
+from rtcomp.plan import CompiledMap, compile_map
+from rtcomp.publisher import Publisher
+from rtcomp.signal_map import load_map
+from rtcomp.sources.clock import SteadyClock
+
+log = logging.getLogger(__name__)
+
+RECEIVE_S = 0.2  # a silent bus holds up a stop no longer than this
+SLOW_COMPILE_S = 1.5
+WAIT_SUBSCRIBER_S = 2.0
+
+
+def load_stacks(models: list[str], names: tuple[str, ...], sensor: str | None) -> dict[str, list[Model]]:
+    """Read `FILE` (for every channel) and `CHANNEL=FILE` into a stack per channel.
+
+    Raises RequestError for a channel the map does not have or a model of another sensor.
+    """
+    stacks: dict[str, list[Model]] = {}
+    for item in models:
+        channel, separator, path = item.partition("=")
+        if not separator or channel not in names:
+            if separator and not Path(item).exists():
+                raise RequestError(f"--model {item}: the map has no channel {channel!r}, only {', '.join(names)}")
+            channel, path = "", item
+        model = load_model(path)
+        if sensor is not None and model.sensor is not None and model.sensor != sensor:
+            raise RequestError(f"{path} is a model of sensor {model.sensor}, but this is {sensor}; use its own model")
+        for name in [channel] if channel else names:
+            stacks.setdefault(name, []).append(model)
+    return stacks
+
+
+@contextlib.contextmanager
+def saying_when_slow(say: Callable[[str], None]) -> Iterator[None]:
+    """Tell a person who waits that the first start compiles."""
+    text = "compiling for this machine: the first start takes about half a minute, later ones do not …"
+    timer = threading.Timer(SLOW_COMPILE_S, say, [text])
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+class Runner:
+    """Everything of one run, from the configuration to the summary.
+
+    `start` opens what there is to open (RequestError when it cannot), `loop` runs until `stop` is called, the log
+    ends or the time is over, `close` gives everything back; `summary` is what `--json` prints.
+    """
+
+    def __init__(self, config: RunConfig, say: Callable[[str], None] = log.info) -> None:
+        if (config.bus is None) == (config.log is None):
+            raise RequestError("wanted either --bus INTERFACE:CHANNEL or --log FILE, got both or neither")
+        self.config, self.say = config, say
+        self.map: CompiledMap = compile_map(load_map(config.map), config.dbc)
+        stacks = load_stacks(config.model, self.map.channel_names, config.sensor)
+        self.pipeline = Pipeline(self.map, stacks)
+        self.clock = SteadyClock()
+        self.stopped = threading.Event()
+        self._resources = contextlib.ExitStack()
+        self._source: Any = None
+        self._swap: dict[str, list[Model]] | None = None
+        self._started = self._ended = time.monotonic()
+        self._powered = config.power_on != "first-frame"
+        if isinstance(config.power_on, float):
+            self.pipeline.power_on(round(config.power_on * 1e9))
+
+    def start(self, session: Any = None) -> None:
+        """Open bus or log, recorder and zenoh (or use `session`), and compile or load the kernels."""
+        from rtcomp.sources.candump import CandumpWriter
+        from rtcomp.zenoh_session import open_session
+
+        for warning in self.map.warnings:
+            self.say(f"warning: {warning}")
+        with saying_when_slow(self.say):
+            self._warm_up()
+        self._open_source()
+        try:
+            self.writer = self._resources.enter_context(CandumpWriter(self.config.record)) if self.config.record else None
+            if session is None:
+                session = open_session(self.config.zenoh)
+                self._resources.callback(session.close)
+            self.publisher = self._publisher(session)
+        except BaseException:
+            self._resources.close()
+            raise
+
+    def _warm_up(self) -> None:
+        """Run the loop once on a throw-away pipeline, so that no frame waits for the compiler."""
+        from rtcomp.frames import FRAME
+
+        list(Pipeline(self.map).process(np.zeros(1, FRAME)))
+
+    def _open_source(self) -> None:
+        if self.config.bus is not None:
+            from rtcomp.sources.bus import open_bus
+
+            self._source = self._resources.enter_context(open_bus(self.config.bus, self.map.filters))
+        else:
+            from rtcomp.sources.logs import read_log
+
+            self._log = iter(read_log(str(self.config.log)))
+            self._first = next(self._log, None)  # a log that cannot be read is refused before anything is opened
+
+    def _publisher(self, session: Any) -> Publisher:
+        publisher = Publisher(
+            session,
+            self.config.prefix,
+            self.map.channel_names,
+            self.clock.now_ns,
+            encoding=self.config.encoding,
+            lossless=self.config.log is not None,
+            aliases=self.config.keys,
+        )
+        publisher.health = self.health
+        publisher.models = self._documents()
+        return publisher
+
+    def _documents(self) -> dict[str, Any]:
+        stacks = zip(self.map.channel_names, self.pipeline.stacks, strict=True)
+        documents = {name: [model_document(model) for model in stack] for name, stack in stacks}
+        return {name: stack[0] if len(stack) == 1 else (stack or None) for name, stack in documents.items()}
+
+    def loop(self) -> None:
+        """Receive, correct, offer to the publisher; ends with `stop`, the end of the log, or the time given."""
+        wait_s = self.config.wait_subscriber_s
+        if wait_s is None:
+            wait_s = WAIT_SUBSCRIBER_S if self.config.log and self.config.zenoh else 0.0
+        if wait_s and not self.publisher.wait_for_subscribers(wait_s):
+            self.say(f"no subscriber of {self.publisher.key('*', 'rate')} after {wait_s:g} s; going on without")
+        self.publisher.start()
+        self._started = time.monotonic()
+        try:
+            for frames in self._frames():
+                self._take(frames)
+                if self.stopped.is_set():
+                    break
+        finally:
+            self._ended = time.monotonic()
+
+    def _frames(self) -> Iterator[np.ndarray]:
+        if self._source is None:
+            if self._first is not None:
+                yield self._first
+            yield from self._log
+            return
+        deadline = time.monotonic() + self.config.seconds if self.config.seconds else float("inf")
+        while not self.stopped.is_set() and (left := deadline - time.monotonic()) > 0.0:
+            frames = self._source.receive(min(RECEIVE_S, left))
+            if len(frames):
+                yield frames
+
+    def _take(self, frames: np.ndarray) -> None:
+        received_ns = self.clock.now_ns()
+        if not self._powered:
+            self.pipeline.power_on(int(frames["t_ns"][0]))
+            self._powered = True
+        if self._swap is not None:
+            stacks, self._swap = self._swap, None
+            self.pipeline.swap(stacks)
+            self.publisher.models = self._documents()
+        for samples in self.pipeline.process(frames):
+            self.publisher.offer(samples.corrected, samples.channel, received_ns)
+        if self.writer is not None:
+            self.writer.append(frames)
+
+    def swap(self, stacks: dict[str, list[Model]]) -> None:
+        """Use other models from the next frames on (any thread)."""
+        self._swap = stacks
+
+    def stop(self) -> None:
+        """End the loop soon (any thread, or a signal handler)."""
+        self.stopped.set()
+        if self._source is not None:
+            self._source.wake()
+
+    def close(self) -> None:
+        """Publish what is left, then give everything back."""
+        try:
+            self.publisher.close()
+        finally:
+            self._resources.close()
+
+    def health(self, name: str) -> dict[str, Any]:
+        """What `…/health` says."""
+        return self._common() | {"channel": name, "stages_us": self.publisher.latency_us()}
+
+    def _common(self) -> dict[str, Any]:
+        counts = self.pipeline.counts
+        losses = {"receiver": self.pipeline.lost_frames, "queue": self.publisher.lost}
+        return {
+            "frames": int(self.pipeline.loop.totals[FRAMES]),
+            "samples": counts["samples"],
+            "published": self.publisher.published,
+            "ignored": counts["ignored"],
+            "lost": sum(losses.values()),
+            "losses": losses,
+            "rejected": self.pipeline.rejected,
+            "flags": self.pipeline.flags,
+            "clock_steps": counts["clock_steps"],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The document of `--json`, after `close`."""
+        rms = self.pipeline.rms_dps or (None, None)
+        stages = self.publisher.latency_us()
+        live = self.config.log is None
+        return self._common() | {
+            "rms_raw_dps": rms[0],
+            "rms_corrected_dps": rms[1],
+            "latency_us": (stages["total"] if live else None) or {"p50": None, "p99": None},
+            "stages_us": stages if live else None,
+            "seconds": self._ended - self._started,
+            "channels": {n: int(s) for n, s in zip(self.map.channel_names, self.pipeline.loop.seq, strict=True)},
+        }
+
+
+@contextlib.contextmanager
+def stopping_on_signals(runner: Runner) -> Iterator[None]:
+    """SIGINT and SIGTERM end the run cleanly."""
+    handlers = {number: signal.signal(number, lambda *_: runner.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
