@@ -302,6 +302,12 @@ def test_skew_and_clock_drift_shift_a_wave_exactly():
     np.testing.assert_allclose(drift[inside], expected[inside], atol=1e-6)
 
 
+def test_a_delay_refuses_time_stamps_that_do_not_rise():
+    t = np.array([0.0, 1.0, 1.0, 2.0])
+    with pytest.raises(RequestError, match="rise"):
+        effect("timestamp_skew").error(Truth(t, t, t), {"delay_s": 0.1})
+
+
 def test_jitter_scatters_with_the_angular_acceleration():
     t = np.arange(0, 500, 0.01)
     rate = 40 * np.sin(2 * np.pi * 0.3 * t)

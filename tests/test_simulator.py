@@ -36,7 +36,7 @@ from training.simulator.scenario import (
     bundled_scenarios,
     load_scenario,
 )
-from training.table import Recording, read_recording
+from training.table import Recording, read_recording, write_recording
 
 ERROR_IDS = [entry.id for entry in catalogue().values() if isinstance(entry, ErrorEffect)]
 PERFECT = TemperatureSensor(lag_s=0.0, lsb_K=0.0, noise_K=0.0)
@@ -263,6 +263,19 @@ def test_replay_takes_truth_from_a_recording(tmp_path):
     assert len(again) == len(real)
     for column in ("t_s", "ref_rate_dps", "temp_degC", "speed_mps"):
         np.testing.assert_allclose(again[column], real[column], atol=1e-12)
+
+
+def test_replay_of_a_rate_alone_takes_temperature_from_the_environment(tmp_path):
+    t = 5.0 + np.arange(600) / 10.0
+    rate = 20.0 * np.sin(t / 3.0)
+    write_recording(Recording("bus", {"t_s": t, "rate_dps": rate}), tmp_path / "bus.csv")
+    motion = Replay(str(tmp_path / "bus.csv"), truth="rate_dps", temperature="environment")
+    again = run(scenario(Switch("magnetic"), motion=motion))
+    np.testing.assert_allclose(again.recording["ref_rate_dps"], rate)
+    np.testing.assert_allclose(again.recording["t_s"], t - 5.0)
+    np.testing.assert_allclose(again.truth.temp_degC, housing_temperature(t - 5.0, WARMING))
+    with pytest.raises(RequestError, match="ref_rate_dps"):
+        run(scenario(motion=Replay(str(tmp_path / "bus.csv"))))
 
 
 def test_a_table_refuses_what_acts_in_time():

@@ -204,4 +204,8 @@ def delayed(t_s: np.ndarray, values: np.ndarray, delay_s: np.ndarray) -> np.ndar
     """
     if t_s.size < 2 or not np.any(delay_s):
         return values.copy()
+    if not np.all(np.diff(t_s) > 0.0):
+        raise RequestError(
+            "a delay needs time stamps that rise from row to row; sort the recording, drop doubles"
+        )
     return CubicSpline(t_s, values)(np.clip(t_s - delay_s, t_s[0], t_s[-1]))

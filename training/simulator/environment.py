@@ -28,7 +28,7 @@ def housing_temperature(t_s: np.ndarray, environment: Environment) -> np.ndarray
 def true_course(scenario: Scenario, draw: Draw) -> Truth:
     """Return what happens in a scenario; shape `(duration·rate,)`.
 
-    Raises RequestError for a replay, whose truth comes from its recording (`run.course`).
+    Raises RequestError for a replay, whose truth comes from its recording (`on_recording.replayed_course`).
     """
     if isinstance(scenario.motion, Replay):
         raise RequestError("motion 'replay' takes its truth from a recording; use run.simulate")

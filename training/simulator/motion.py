@@ -3,7 +3,7 @@
 Every kind is a small struct with a method `path(t_s, generator)` that returns (rate [°/s], speed [m/s]).
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -143,10 +143,18 @@ class Parking(Struct, frozen=True, forbid_unknown_fields=True, tag="parking", ta
 
 
 class Replay(Struct, frozen=True, forbid_unknown_fields=True, tag="replay", tag_field="kind"):
-    """The motion (and temperature) of a recording, whose own length and sampling replace the scenario's."""
+    """The motion of a recording, whose own length and sampling replace the scenario's.
+
+    A CAN log needs `signal_map`. `truth` is the column taken for the true rate: of a log without reference
+    its own rate, whose errors then count as motion. `temperature` is the recording's or the environment's.
+    """
 
     recording: str
     columns: dict[str, str] = {}
+    signal_map: str = ""
+    channel: str = ""
+    truth: Literal["ref_rate_dps", "rate_dps"] = "ref_rate_dps"
+    temperature: Literal["recording", "environment"] = "recording"
 
 
 Motion = Static | Profile | Steps | Chirp | Creep | Circles | Drive | Parking | Replay

@@ -7,10 +7,11 @@ import numpy as np
 from rtcomp.errors import RequestError
 from training.effects.truth import Truth
 from training.simulator.draw import Draw
-from training.simulator.environment import coil_temperature
+from training.simulator.environment import coil_temperature, housing_temperature, turned
 from training.simulator.gyro import gyro_output
+from training.simulator.motion import Replay
 from training.simulator.scenario import Scenario
-from training.table import Recording
+from training.table import Recording, read_recording
 
 _DRIVERS = ("heading_deg", "speed_mps", "accel_lat_mps2", "vibration_rms_mps2")
 
@@ -36,6 +37,30 @@ def truth_of(recording: Recording, scenario: Scenario, static: bool = False) -> 
     coil = bridged(recording, "coil_temp_degC") if measured_coil else coil_temperature(t, housing, scenario)
     truth = Truth(t, rate, housing, coil, soaked=soaked)
     return replace(truth, **{name: bridged(recording, name) for name in _DRIVERS if name in recording})
+
+
+def replayed_course(scenario: Scenario, replay: Replay) -> Truth:
+    """Return the truth of a scenario that replays a recording, timed from the recording's first row.
+
+    Raises RequestError for a recording without rising `t_s`, or without the column that is to be the truth.
+    """
+    source = replay.signal_map or None, replay.channel or None
+    recording = read_recording(
+        replay.recording,
+        replay.columns,
+        signal_map=source[0],
+        channel=source[1],
+        require=("t_s", replay.truth),
+    )
+    t = recording["t_s"] - recording["t_s"][0]
+    if not np.all(np.diff(t) > 0.0):
+        raise RequestError(f"{replay.recording}: t_s does not rise from row to row; sort it to replay it")
+    columns = recording.columns | {"t_s": t, "ref_rate_dps": bridged(recording, replay.truth)}
+    if replay.temperature == "environment":
+        columns["temp_degC"] = housing_temperature(t, scenario.environment)
+        columns.pop("coil_temp_degC", None)
+    truth = truth_of(Recording(recording.name, columns), scenario)
+    return truth if truth.heading_deg.size else replace(truth, heading_deg=turned(t, truth.rate_dps))
 
 
 def bridged(recording: Recording, column: str) -> np.ndarray:

@@ -1,23 +1,22 @@
 """One simulated experiment: scenario to recording, with the truth kept for tests."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from rtcomp.errors import RequestError
 from training.effects.base import Columns, FrameEffect
 from training.effects.truth import Truth
 from training.simulator.draw import Draw
 from training.simulator.environment import sensed, true_course
 from training.simulator.gyro import active, gyro_output
 from training.simulator.motion import Replay
-from training.simulator.on_recording import simulated_rate, truth_of
+from training.simulator.on_recording import replayed_course, simulated_rate
 from training.simulator.scenario import Scenario, load_scenario
 from training.simulator.table_run import table_columns
-from training.table import COLUMNS, Recording, read_recording
+from training.table import COLUMNS, Recording
 
 
 @dataclass(frozen=True)
@@ -53,26 +52,16 @@ def run(scenario: Scenario, seed: int | None = None, name: str = "simulated") ->
         truth, columns = table_columns(scenario, draw)
         nothing = np.empty(0, np.int64)
         return Run(Recording(name, columns), truth, columns, nothing, nothing)
-    truth = course(scenario, draw)
+    if isinstance(scenario.motion, Replay):
+        truth = replayed_course(scenario, scenario.motion)
+    else:
+        truth = true_course(scenario, draw)
     sent = sent_columns(scenario, truth, draw)
     rows = {"source": np.arange(truth.t_s.size), "slot": np.arange(truth.t_s.size)}
     received = recorded(scenario, sent | rows, draw)
     source, slot = received.pop("source"), received.pop("slot")
     ordered = {column: received[column] for column in COLUMNS if column in received}
     return Run(Recording(name, ordered), truth, sent, source, slot)
-
-
-def course(scenario: Scenario, draw: Draw) -> Truth:
-    """Return the truth of a scenario: drawn, or that of the recording it replays."""
-    if not isinstance(scenario.motion, Replay):
-        return true_course(scenario, draw)
-    replayed = read_recording(scenario.motion.recording, scenario.motion.columns)
-    truth = truth_of(replayed, scenario)
-    if truth.soaked or np.any(np.diff(truth.t_s) <= 0.0):
-        raise RequestError(
-            f"{scenario.motion.recording}: a replay needs t_s that rises; sort it or add the column"
-        )
-    return replace(truth, t_s=truth.t_s - truth.t_s[0])
 
 
 def sent_columns(scenario: Scenario, truth: Truth, draw: Draw) -> Columns:

@@ -66,6 +66,10 @@ class Noise(Struct, frozen=True, forbid_unknown_fields=True):
         """(N [°/√h], B [°/h], R [°/h/√h])."""
         return self.arw_deg_rt_h, self.bias_instability_deg_h, self.rrw_deg_h_rt_h
 
+    def values(self) -> dict[str, float]:
+        """Return the model under the parameter names of the effect noise_level."""
+        return msgspec.structs.asdict(self)
+
 
 class Switch(Struct, frozen=True, forbid_unknown_fields=True):
     """One effect that is on: by its own parameters, or as the catalogue's nominal (or hard) case."""
