@@ -410,3 +410,8 @@ def test_draws_of_different_purposes_are_independent():
         Draw(1).of(name).standard_normal(20_000) for name in ("gyro noise", "temperature sensor", "road")
     ]
     assert np.abs(np.corrcoef(draws) - np.eye(3)).max() < 0.03
+
+
+def test_the_noise_of_a_scenario_has_the_names_of_its_effect():
+    catalogue()["noise_level"].complete(Noise().values())
+    assert tuple(Noise().values().values()) == Noise().density

@@ -48,7 +48,7 @@ def log_frames(run: Run, scenario: Scenario) -> np.ndarray:
     sent_ns = START_NS + np.rint(run.sent["t_s"] * 1e9).astype(np.int64)
     rate = fog_format.encode_rate(sent_ns, run.sent["rate_dps"])[run.source]
     rate["t_ns"] = sent_ns[run.slot]
-    every = max(round(scenario.record.temperature_period_s * scenario.rate_hz), 1)
+    every = max(round(scenario.record.temperature_period_s / run.truth.dt_s), 1)
     coil = run.sent.get("coil_temp_degC")
     temperature = fog_format.encode_temperature(
         sent_ns[::every], run.sent["temp_degC"][::every], None if coil is None else coil[::every]
