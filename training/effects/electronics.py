@@ -96,7 +96,10 @@ class Saturation(OutputEffect):
         if knee == 0.0:
             return np.clip(output_dps, -p.limit_dps, p.limit_dps)
         over = np.maximum(np.abs(output_dps) - (p.limit_dps - knee), 0.0)
-        return output_dps - np.sign(output_dps) * (over - knee * np.tanh(over / knee))
+        bent = knee * np.tanh(
+            np.minimum(over, 40.0 * knee) / knee
+        )  # tanh 40 is 1; a tiny knee must not overflow
+        return output_dps - np.sign(output_dps) * (over - bent)
 
 
 class AutoZero(OutputEffect):
