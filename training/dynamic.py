@@ -12,7 +12,7 @@ import numpy as np
 
 from rtcomp.model import Model, Term
 from training.build import ts_model
-from training.inputs import Checked, input_columns, lagged
+from training.inputs import ROTATING_DPS, Checked, input_columns, lagged
 from training.refine import Antecedents, refine
 from training.scores import ratio_interval
 from training.ts import REFINE_ROWS, Scaling, TsFit, TsOptions, fit
@@ -22,7 +22,6 @@ SHORTEST_S = 20.0
 LONGEST = 1 / 3  # of the training rows' duration: a longer time constant looks like a drift
 POINTS = 24
 BLOCKS = 20
-ROTATING_DPS = 1.0  # RMS rate below which a scale factor cannot be seen
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,8 @@ def fit_dynamic(
     """
     options = options or TsOptions()
     masks = masks if masks is not None else [np.ones(len(item.recording), bool) for item in recordings]
-    rotating = _rotating(recordings, masks)
-    names = ["temp_degC", "rate_dps"] if rotating else ["temp_degC"]
+    turning = _rotating(recordings, masks)
+    names = ["temp_degC", "rate_dps"] if turning else ["temp_degC"]
     rows = _gather(recordings, masks, names)
     static = fit(rows.inputs, rows.error, names, options)
     taus = np.geomspace(SHORTEST_S, max(LONGEST * _duration(recordings, masks), 2 * SHORTEST_S), POINTS)
@@ -72,13 +71,13 @@ def fit_dynamic(
     thin = _Rows(*(getattr(rows, name)[every] for name in ("inputs", "error", "rate", "time", "block")))
     z = scaling.to_z(thin.inputs)
     left_static = _left(z, start, thin.error, None)[1]
-    left_drift = _left(z, start, thin.error, _times(thin.time - thin.time.mean(), thin.rate, rotating))[1]
-    trials = [_left(z, start, thin.error, _lag(recordings, masks, tau, rotating)[every])[1] for tau in taus]
+    left_drift = _left(z, start, thin.error, _times(thin.time - thin.time.mean(), thin.rate, turning))[1]
+    trials = [_left(z, start, thin.error, _lag(recordings, masks, tau, turning)[every])[1] for tau in taus]
     best = int(np.argmin([left @ left for left in trials]))
     claimed, sentence = judge(taus, best, left_static, trials[best], left_drift, thin.block)
     stds = [float(np.std(left)) for left in (left_static, trials[best], left_drift)]
     if claimed:
-        columns = _lag(recordings, masks, float(taus[best]), rotating)
+        columns = _lag(recordings, masks, float(taus[best]), turning)
         model = _with_lag(rows, columns, every, scaling, start, float(taus[best]), names, options)
     else:
         model = ts_model(static, names, rows.inputs)
@@ -111,7 +110,7 @@ def branches(temp_degC: np.ndarray) -> np.ndarray:
 
 def _rotating(recordings: Sequence[Checked], masks: Sequence[np.ndarray]) -> bool:
     rates = np.concatenate([item.true_dps[mask] for item, mask in zip(recordings, masks, strict=True)])
-    return bool(np.sqrt(np.mean(rates**2)) > ROTATING_DPS)
+    return bool(np.std(rates) > ROTATING_DPS)
 
 
 def _duration(recordings: Sequence[Checked], masks: Sequence[np.ndarray]) -> float:
@@ -122,9 +121,7 @@ def _gather(recordings: Sequence[Checked], masks: Sequence[np.ndarray], names: S
     pairs = list(zip(recordings, masks, strict=True))
     time = [r.recording["t_s"][mask] for r, mask in pairs]
     many = len(pairs) > 1 and len(pairs) >= BLOCKS // 2
-    block = [
-        np.full(len(t), k) if many else k * BLOCKS + _blocks(t) for k, t in enumerate(time)
-    ]
+    block = [np.full(len(t), k) if many else k * BLOCKS + _blocks(t) for k, t in enumerate(time)]
     return _Rows(
         np.concatenate([input_columns(r.recording, names)[mask] for r, mask in pairs]),
         np.concatenate([r.error_dps[mask] for r, mask in pairs]),
@@ -139,7 +136,9 @@ def _blocks(t_s: np.ndarray) -> np.ndarray:
     return np.minimum((share * BLOCKS).astype(int), BLOCKS - 1)
 
 
-def _lag(recordings: Sequence[Checked], masks: Sequence[np.ndarray], tau_s: float, rotating: bool) -> np.ndarray:
+def _lag(
+    recordings: Sequence[Checked], masks: Sequence[np.ndarray], tau_s: float, rotating: bool
+) -> np.ndarray:
     parts = []
     for item, mask in zip(recordings, masks, strict=True):
         temp = item.recording["temp_degC"]
@@ -154,7 +153,9 @@ def _times(column: np.ndarray, rate: np.ndarray, rotating: bool) -> np.ndarray:
 
 
 def _antecedents(found: TsFit, scaling: Scaling) -> Antecedents:
-    return Antecedents(scaling.to_z(np.array(found.rules.centers)), np.array(found.rules.widths) / scaling.scale)
+    return Antecedents(
+        scaling.to_z(np.array(found.rules.centers)), np.array(found.rules.widths) / scaling.scale
+    )
 
 
 def _left(

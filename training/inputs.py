@@ -32,8 +32,14 @@ UNITS = {  # what a column's name ends in → the unit it says
     "us": "µs",
     "ns": "ns",
 }
+ROTATING_DPS = 1.0  # standard deviation of the true rate, below which the rate carries the error only
 NEEDED = {"rate_dps": "°/s", "ref_rate_dps": "°/s", "temp_degC": "°C", "coil_temp_degC": "°C", "t_s": "s"}
-STEMS = {"rate_dps": "rate|gyro|omega", "ref_rate_dps": "ref_rate|ref", "temp_degC": "temp|temperature", "t_s": "t|time"}
+STEMS = {
+    "rate_dps": "rate|gyro|omega",
+    "ref_rate_dps": "ref_rate|ref",
+    "temp_degC": "temp|temperature",
+    "t_s": "t|time",
+}
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,11 @@ def check(recording: Recording, static: bool = False, drop_nan: bool = False) ->
         check_time(recording)
     true = np.zeros(len(recording)) if static else recording["ref_rate_dps"]
     return Checked(recording, true)
+
+
+def rotating(recordings: Sequence[Checked]) -> bool:
+    """Whether the true rate moves enough to learn anything from the rate."""
+    return float(np.std(np.concatenate([item.true_dps for item in recordings]))) > ROTATING_DPS
 
 
 def check_time(recording: Recording) -> None:
@@ -106,7 +117,11 @@ def _missing(recording: Recording, name: str) -> str:
                 f"{recording.name}: no column {name}, but {other} in {unit}: the header mixes units; "
                 f"convert that column to {NEEDED[name]} and call it {name}"
             )
-    hint = "give it with --columns, or --static when the gyro stood still" if name == "ref_rate_dps" else "see --columns"
+    hint = (
+        "give it with --columns, or --static when the gyro stood still"
+        if name == "ref_rate_dps"
+        else "see --columns"
+    )
     return f"{recording.name}: no column {name}: {hint}"
 
 
@@ -123,7 +138,9 @@ def _finite(recording: Recording, names: Sequence[str], drop_nan: bool) -> Recor
         )
     kept = ~np.any(list(bad.values()), axis=0)
     if not kept.any():
-        raise RequestError(f"{recording.name}: no row is finite in all of {', '.join(names)}; repair the recording")
+        raise RequestError(
+            f"{recording.name}: no row is finite in all of {', '.join(names)}; repair the recording"
+        )
     log.warning("%s: %d of %d rows left out, not finite: %s", recording.name, (~kept).sum(), len(kept), told)
     return recording.take(kept)
 
@@ -143,7 +160,9 @@ def _input(recording: Recording, name: str, taus: Mapping[str, float]) -> np.nda
     if name in recording:
         return recording[name]
     if name not in ("lag_temp_degC", "temp_rate_degC_per_s", "time_since_power_on_s"):
-        raise RequestError(f"{recording.name}: no column for input {name}; see --columns, or choose other --inputs")
+        raise RequestError(
+            f"{recording.name}: no column for input {name}; see --columns, or choose other --inputs"
+        )
     if "t_s" not in recording:
         raise RequestError(f"{recording.name}: input {name} needs t_s; soaked points have no history")
     if name == "time_since_power_on_s":
