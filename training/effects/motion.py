@@ -159,9 +159,7 @@ class Magnetic(ErrorEffect):
     source = "PHYSICS.md G6 [S20, S21]"
 
     def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray:
-        psi = truth.needs("heading_deg", self.id) * RAD_PER_DEG
-        first = p.cos_dps * np.cos(psi) + p.sin_dps * np.sin(psi)
-        return first + p.cos2_dps * np.cos(2.0 * psi) + p.sin2_dps * np.sin(2.0 * psi)
+        return _harmonics(truth.needs("heading_deg", self.id), p.cos_dps, p.sin_dps, p.cos2_dps, p.sin2_dps)
 
 
 class TableEccentricity(ErrorEffect):
@@ -182,10 +180,14 @@ class TableEccentricity(ErrorEffect):
     source = "PHYSICS.md G7 [D]"
 
     def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray:
-        psi = truth.needs("heading_deg", self.id) * RAD_PER_DEG
-        first = p.cos_ppm * np.cos(psi) + p.sin_ppm * np.sin(psi)
-        second = p.cos2_ppm * np.cos(2.0 * psi) + p.sin2_ppm * np.sin(2.0 * psi)
-        return truth.rate_dps * PPM * (first + second)
+        heading = truth.needs("heading_deg", self.id)
+        return truth.rate_dps * PPM * _harmonics(heading, p.cos_ppm, p.sin_ppm, p.cos2_ppm, p.sin2_ppm)
+
+
+def _harmonics(heading_deg: np.ndarray, a1: float, b1: float, a2: float, b2: float) -> np.ndarray:
+    """Return a1·cos ψ + b1·sin ψ + a2·cos 2ψ + b2·sin 2ψ, shape `(n,)`."""
+    psi = heading_deg * RAD_PER_DEG
+    return a1 * np.cos(psi) + b1 * np.sin(psi) + a2 * np.cos(2.0 * psi) + b2 * np.sin(2.0 * psi)
 
 
 def _gradient(values: np.ndarray, t_s: np.ndarray) -> np.ndarray:
