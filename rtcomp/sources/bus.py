@@ -133,10 +133,21 @@ def open_bus(text: str, filters: Sequence[Filter] | None = None) -> Source:
     Raises:
         RequestError: the text is malformed or there is no such bus.
     """
-    bus = open_can(text)
-    if filters is not None:
-        bus.set_filters([{"can_id": i, "can_mask": mask, "extended": ext} for i, mask, ext in filters])
-    return PythonCanSource(bus, text)
+
+    def opened() -> "can.BusABC":
+        bus = open_can(text)
+        if filters is not None:
+            bus.set_filters([{"can_id": i, "can_mask": mask, "extended": ext} for i, mask, ext in filters])
+        return bus
+
+    if parse_spec(text).interface != "socketcan":
+        return PythonCanSource(opened(), text)
+    from rtcomp.sources.socketcan import SocketCanSource
+
+    try:
+        return SocketCanSource(opened, text)
+    except OSError as error:
+        raise RequestError(f"bus {text!r} cannot be received from: {error}; see `rtcomp doctor`") from error
 
 
 class PythonCanSource:
