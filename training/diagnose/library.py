@@ -34,6 +34,7 @@ class Survey:
     start_s: float
     has: frozenset[str]
     points: bool
+    recordings: int = 1
 
 
 @dataclass(frozen=True)
@@ -179,20 +180,20 @@ DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
 
 def _dead_grid(survey: Survey) -> list[Parameters]:
     widths = np.geomspace(max(1e-3, 2e-5 * survey.rate_max), min(3.0, 0.1 * survey.rate_max), 14)
-    return [{"width_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
+    return [{"lock_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
 
 
 def _dead_band(work: Work, p: Parameters) -> list[FloatArray]:
     shape = DEAD_SHAPES[int(p["shape"])]
-    return [work.per_block(lambda w: shape(w, p["width_dps"]))]
+    return [work.per_block(lambda w: shape(w, p["lock_dps"]))]
 
 
 def _knees(survey: Survey) -> list[Parameters]:
-    return [{"knee_dps": knee} for knee in survey.rate_quantiles]
+    return [{"limit_dps": knee} for knee in survey.rate_quantiles]
 
 
 def _clip(work: Work, p: Parameters) -> list[FloatArray]:
-    knee = p["knee_dps"]
+    knee = p["limit_dps"]
     return [work.per_block(lambda w: -np.sign(w) * np.maximum(0.0, np.abs(w) - knee))]
 
 
@@ -232,16 +233,19 @@ def _decay(work: Work, p: Parameters) -> FloatArray:
 
 
 def _changes(survey: Survey) -> list[Parameters]:
-    return [{"at_share": float(s)} for s in np.linspace(0.03, 0.97, 63)]
+    shares = np.linspace(0.03, 0.97, 63 if survey.recordings == 1 else 33)
+    return [{"at_share": float(s), "recording": float(r)} for r in range(min(survey.recordings, 12)) for s in shares]
 
 
 def _after(work: Work, p: Parameters) -> FloatArray:
+    if work.index != int(p["recording"]):
+        return np.zeros(len(work))
     return (np.arange(len(work)) >= p["at_share"] * len(work)).astype(float)
 
 
 def _ageing(work: Work, p: Parameters) -> list[FloatArray]:
-    hours = work.t / 3600.0
-    shape = {0: hours, 1: np.sqrt(np.maximum(hours, 0.0)), 2: np.log1p(np.maximum(work.t, 0.0) / 600.0)}
+    late = np.maximum(work.t, 0.0)
+    shape = {0: late, 1: np.sqrt(late), 2: np.log1p(late / 600.0)}
     return [PPM * work.w * shape[int(p["shape"])]]
 
 
@@ -302,8 +306,8 @@ GROUPS: tuple[Group, ...] = (
     ),
     Group("scale_nonlinearity", _nonlinearity_grid, _nonlinearity, _nonlinearity_names, RATE),
     Group("scale_asymmetry", _single, lambda k, p: [PPM * k.per_block(np.abs)], _names(("c_ppm", "ppm")), RATE),
-    Group("dead_band", _dead_grid, _dead_band, _names(("depth", "1")), RATE, ("width_dps",)),
-    Group("saturation", _knees, _clip, _names(("loss", "1")), RATE, ("knee_dps",)),
+    Group("dead_band", _dead_grid, _dead_band, _names(("depth", "1")), RATE, ("lock_dps",)),
+    Group("saturation", _knees, _clip, _names(("loss", "1")), RATE, ("limit_dps",)),
     Group(
         "polarization_ripple", _ripple_grid, _ripple,
         _names(("cos_dps", "dps"), ("sin_dps", "dps")), TEMP, ("period_K", "chirp_per_K"),
@@ -312,7 +316,8 @@ GROUPS: tuple[Group, ...] = (
     Group("bias_drift", _single, lambda k, p: [k.t], _names(("c_dps_per_s", "dps/s")), TIME),
     Group(
         "source_ageing", lambda s: [{"shape": k} for k in (0.0, 1.0, 2.0)], _ageing,
-        _names(("c_ppm_per_h", "ppm/h")), RATE | TIME,
+        lambda p: [[("c_ppm_per_s", "ppm/s"), ("c_ppm_per_sqrt_s", "ppm/s^0.5"), ("c_ppm_per_ln", "ppm")][int(p["shape"])]],
+        RATE | TIME,
     ),
     Group("bias_warmup", _taus(60.0, 2500.0, 10), lambda k, p: [_decay(k, p)], _names(("amplitude_dps", "dps")), TIME | {"power_on"}, ("tau_s",)),
     Group(
@@ -330,10 +335,10 @@ GROUPS: tuple[Group, ...] = (
           frozenset({"heading", "rate"})),
     Group("acceleration", lambda s: [{"order": k} for k in (1.0, 2.0)],
           lambda k, p: [k.extra["accel"], k.extra["accel2"]][: int(p["order"])],
-          lambda p: [("g_dps_per_mps2", "dps/(m/s^2)"), ("g2_dps_per_m2ps4", "dps/(m/s^2)^2")][: int(p["order"])],
+          lambda p: [("c1_dps_per_g", "dps/g"), ("c2_dps_per_g2", "dps/g^2")][: int(p["order"])],
           frozenset({"acceleration"})),
     Group("vibration_rectification", _single, lambda k, p: [k.extra["vib2"]],
-          _names(("c_dps_per_m2ps4", "dps/(m/s^2)^2")), frozenset({"vibration"})),
+          _names(("c_dps_per_m2s4", "dps/(m/s^2)^2")), frozenset({"vibration"})),
     Group("misalignment", _single, lambda k, p: [k.extra["roll_rate"]],
-          _names(("cross_s3_per_m", "dps/(m/s^3)")), frozenset({"acceleration"})),
+          _names(("roll_coupling", "dps/(m/s^3)")), frozenset({"acceleration"})),
 )

@@ -103,8 +103,10 @@ def _motion(work: Work, columns: dict[str, FloatArray], w: FloatArray) -> None:
     if accel is None and "speed_mps" in columns:
         accel = columns["speed_mps"] * np.deg2rad(w)
     if accel is not None:
-        work.extra["accel"], work.extra["accel2"] = work.average(accel), work.average(accel**2)
+        work.extra["accel"], work.extra["accel2"] = work.average(accel / GRAVITY), work.average((accel / GRAVITY) ** 2)
         work.extra["roll_rate"] = np.gradient(low_pass(work.extra["accel"], work.step_s, 0.3), work.step_s)
+    if "speed_mps" in columns:
+        work.extra["speed"] = work.average(columns["speed_mps"])
     if "vibration_rms_mps2" in columns:
         work.extra["vib2"] = work.average(columns["vibration_rms_mps2"] ** 2)
 
@@ -117,12 +119,15 @@ def survey(works: list[Work]) -> Survey:
     has |= {"temperature"} if np.ptp(temps) > 2.0 else set()
     has |= set() if works[0].points else {"clock"}
     has |= {"power_on"} if all(w.power_on_known and not w.points for w in works) else set()
-    names = {"cos1": "heading", "accel": "acceleration", "vib2": "vibration"}
+    names = {"cos1": "heading", "accel": "acceleration", "vib2": "vibration", "speed": "speed"}
     has |= {label for key, label in names.items() if all(key in w.extra for w in works)}
-    knees = np.quantile(rates[rates > 0.0] if np.any(rates > 0.0) else np.ones(1), [0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.985, 0.995])
+    turning = rates[rates > 0.02 * rates.max()] if rates.max() > 0.0 else np.ones(1)
+    by_rank = np.quantile(turning, [0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.985, 0.995])
+    knees = np.concatenate([by_rank, rates.max() * np.asarray([0.45, 0.55, 0.62, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95])])
     return Survey(
         duration_s=max(float(w.t[-1] - w.t[0]) for w in works), step_s=max(w.step_s for w in works),
         temp_low=float(temps.min()), temp_high=float(temps.max()), rate_max=float(rates.max()),
         rate_quantiles=tuple(float(k) for k in np.unique(knees)),
         start_s=min(float(w.t[0]) for w in works), has=frozenset(has), points=works[0].points,
+        recordings=len(works),
     )

@@ -39,6 +39,7 @@ class Work:
     extra: dict[str, FloatArray] = field(default_factory=dict)
     spread: FloatArray = field(default_factory=lambda: np.ones(1))
     clusters: NDArray[np.int64] | None = None
+    index: int = 0
 
     def __len__(self) -> int:
         return len(self.y)

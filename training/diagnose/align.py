@@ -1,0 +1,185 @@
+"""Time alignment at full rate: delay, clock drift and bandwidth of the measured rate against the true one.
+
+The delay is fitted by moving a cubic spline through the true rate (Gauss-Newton), not by finite differences, which
+turn a delay into a bandwidth.  A second-order Butterworth filter is a delay up to s², so both are tried and the
+likelihood says which, or that it cannot say.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import signal
+
+from training.diagnose.design import Domain, Frame, domain
+from training.diagnose.library import ROOM_DEGC
+from training.diagnose.prepare import prepare
+from training.diagnose.reference import Reference
+from training.diagnose.work import FloatArray, Work
+
+SIGNIFICANT = 30.0
+SECOND = 45.0
+CLASS_COST = 10.0
+MAX_STEPS = 6
+CORNERS = 12
+MAX_ROWS = 1_500_000
+
+
+@dataclass
+class Timing:
+    """What the time alignment found; `moved` is the true rate as the measuring channel saw it, `(n,)`."""
+
+    delay_s: float = 0.0
+    delay_se: float = float("nan")
+    clock_ppm: float = 0.0
+    clock_se: float = float("nan")
+    corner_Hz: float | None = None
+    poles: int = 2
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    moved: FloatArray = field(default_factory=lambda: np.empty(0))
+    change_rms_dps: float = 0.0
+
+
+def align(columns: dict[str, FloatArray], residual: FloatArray, ref: Reference, valid: np.ndarray) -> Timing:
+    """Fit the timing of one recording; `residual` (n,) is measured − simulated [dps]."""
+    t = columns["t_s"]
+    if np.ptp(ref.rate) < 0.5:
+        return Timing(moved=ref.rate)
+    work = prepare("timing", columns, residual, np.zeros(len(t)), ref.rate, valid, max_blocks=MAX_ROWS)
+    span = t - 0.5 * (t[0] + t[-1])
+    base = _Base(work, _static_nuisance(work))
+    slope = ref.spline(t, 1)
+    first = base.gain([slope, span * slope])
+    timing = _moved_fit(base, work, t, span, residual, ref)
+    if max(first[0], timing.gains.get("both", 0.0)) < SIGNIFICANT and base.gain([slope, ref.spline(t, 2)])[0] < SIGNIFICANT:
+        timing.moved = ref.rate
+        return timing
+    _decide(timing, base, t, span, residual, ref)
+    timing.change_rms_dps = float(np.std((timing.moved - ref.rate)[valid]))
+    return timing
+
+
+def _static_nuisance(work: Work) -> list[FloatArray]:
+    """What must not be taken for timing: scale factor over temperature and the shape at high rates."""
+    h = work.temp - ROOM_DEGC
+    top = work.full["w_max"][0]
+    return [work.w * h, work.per_block(lambda w: (w / top) ** 3), work.per_block(np.abs)]
+
+
+class _Base:
+    """The null model of one recording at full rate, to which timing columns are added."""
+
+    def __init__(self, work: Work, nuisance: list[FloatArray]) -> None:
+        self.work = work
+        columns = [c for c in nuisance if np.ptp(c) > 0.0]
+        self.domain: Domain = domain(work, columns)
+        self.frame = Frame([self.domain])
+        self.null = self.frame.fit(self.frame.grams())
+
+    def gain(self, columns: list[FloatArray], target: FloatArray | None = None) -> tuple[float, FloatArray, FloatArray]:
+        """(2 Δ log-likelihood, coefficients, standard errors) of full-rate columns added to the null."""
+        shared = np.stack([self.work.average(c) for c in columns], axis=1) if columns else np.empty((len(self.work), 0))
+        extra = [self.work.transform(shared)] if columns else None
+        frame = self.frame
+        if target is not None:
+            rows = self.work.transform(self.work.average(target)[:, None])
+            frame = Frame([self.domain], targets=[rows])
+        fit = frame.fit(frame.grams(extra=extra), self.null.weights)
+        errors = np.sqrt(np.diag(np.linalg.pinv(fit.information))) if columns else np.empty(0)
+        return 2.0 * (fit.loglik - self.null.loglik), fit.beta, errors
+
+
+def _moved_fit(base: _Base, work: Work, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference) -> Timing:
+    """Gauss-Newton on delay and clock drift with the exactly moved true rate."""
+    delay, clock = 0.0, 0.0
+    gain, errors = 0.0, np.full(2, np.nan)
+    moved = ref.rate
+    for _ in range(MAX_STEPS):
+        shift = delay + clock * span
+        moved = ref.moved(t, shift)
+        slope = -ref.spline(np.clip(t - shift, t[0], t[-1]), 1)
+        gain, step, errors = base.gain([slope, span * slope], residual - (moved - ref.rate))
+        delay += float(np.clip(step[0], -0.5, 0.5))
+        clock += float(np.clip(step[1], -2e-4, 2e-4))
+        if np.all(np.abs(step) < 0.05 * errors):
+            break
+    timing = Timing(delay, float(errors[0]), 1e6 * clock, 1e6 * float(errors[1]), moved=moved)
+    timing.gains["both"] = gain
+    return timing
+
+
+def _decide(timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference) -> None:
+    """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
+    only, delay = _delay_only(base, t, residual, ref)
+    bandwidth, corner, poles = _bandwidth(base, t, ref)
+    both = timing.gains["both"]
+    drifts = both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se
+    timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": both}
+    sampling = 1.0 / float(np.median(np.diff(t)))
+    if drifts:
+        timing.effects["clock_drift"] = {"clock_ppm": timing.clock_ppm}
+        if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.01:
+            timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}
+        timing.moved = ref.moved(t, timing.delay_s + 1e-6 * timing.clock_ppm * span)
+        return
+    timing.delay_s, timing.clock_ppm = delay, 0.0
+    if max(only, bandwidth) < SIGNIFICANT:
+        timing.delay_s = 0.0
+        timing.moved = ref.rate
+        return
+    if bandwidth > only:
+        timing.corner_Hz, timing.poles = corner, poles
+        timing.effects["bandwidth"] = {"corner_Hz": corner}
+        timing.moved = filtered(ref.rate, sampling, corner, poles)
+    else:
+        timing.effects["timestamp_skew"] = {"delay_s": delay}
+        timing.moved = ref.moved(t, delay)
+
+
+def rivals(timing: Timing, effect: str) -> dict[str, float]:
+    """Timing effects that explain as much as `effect` does, with what they cost."""
+    mine = timing.gains[effect]
+    pairs = {"timestamp_skew": "bandwidth", "bandwidth": "timestamp_skew"}
+    other = pairs.get(effect)
+    if other is None or timing.gains.get(other, 0.0) < mine - CLASS_COST:
+        return {}
+    return {other: mine - timing.gains[other]}
+
+
+def _delay_only(base: _Base, t: FloatArray, residual: FloatArray, ref: Reference) -> tuple[float, float]:
+    delay, gain = 0.0, 0.0
+    for _ in range(MAX_STEPS):
+        slope = -ref.spline(np.clip(t - delay, t[0], t[-1]), 1)
+        gain, step, errors = base.gain([slope], residual - (ref.moved(t, delay) - ref.rate))
+        delay += float(np.clip(step[0], -0.5, 0.5))
+        if abs(step[0]) < 0.05 * errors[0]:
+            break
+    return gain, delay
+
+
+def _bandwidth(base: _Base, t: FloatArray, ref: Reference) -> tuple[float, float, int]:
+    """Best low-pass (one or two poles): (gain, corner [Hz], poles)."""
+    sampling = 1.0 / float(np.median(np.diff(t)))
+    best = (-np.inf, 0.0, 2)
+    for poles in (1, 2):
+        corners = list(np.geomspace(0.004 * sampling, 0.42 * sampling, CORNERS))
+        found = [(_corner_gain(base, ref, sampling, c, poles), c) for c in corners]
+        top = max(found)[1]
+        for ratio in (0.8, 0.88, 0.94, 1.06, 1.14, 1.25):
+            if top * ratio < 0.45 * sampling:
+                found.append((_corner_gain(base, ref, sampling, top * ratio, poles), top * ratio))
+        gain, corner = max(found)
+        best = max(best, (gain, corner, poles))
+    return best
+
+
+def _corner_gain(base: _Base, ref: Reference, sampling: float, corner: float, poles: int) -> float:
+    """Gain of one corner; its coefficient must be one, so what a free one adds is taken back."""
+    gain, coefficient, errors = base.gain([filtered(ref.rate, sampling, corner, poles) - ref.rate])
+    return gain - min(float(((coefficient[0] - 1.0) / errors[0]) ** 2), max(gain, 0.0))
+
+
+def filtered(rate: FloatArray, sampling: float, corner: float, poles: int) -> FloatArray:
+    """The rate after a Butterworth low-pass of one or two poles, settled at the start."""
+    b, a = signal.butter(poles, corner, fs=sampling)
+    return signal.lfilter(b, a, rate, zi=signal.lfilter_zi(b, a) * rate[0])[0]

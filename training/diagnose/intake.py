@@ -1,0 +1,101 @@
+"""One recording from its columns to what the search works on: checked, simulated, aligned, averaged."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcomp.errors import RequestError
+from training.diagnose.align import Timing, align
+from training.diagnose.fast import FastFinding, line_finding, quantization_finding, variance_findings
+from training.diagnose.integrity import Checked, check
+from training.diagnose.prepare import prepare
+from training.diagnose.reference import Reference, reference
+from training.diagnose.settings import Settings
+from training.diagnose.simulation import Simulation
+from training.diagnose.work import FloatArray, Work
+from training.table import Recording
+
+
+@dataclass
+class Intake:
+    """A recording ready for the search; `residual` is measured − simulated at full rate [dps]."""
+
+    recording: Recording
+    checked: Checked
+    residual: FloatArray
+    simulated: FloatArray
+    reference: Reference | None
+    timing: Timing
+    fast: list[FastFinding]
+    work: Work
+
+    @property
+    def rate(self) -> FloatArray:
+        """True rate as regressors use it, at full rate."""
+        return self.timing.moved
+
+    @property
+    def timing_change(self) -> FloatArray:
+        """What the found timing adds to the measured rate, at full rate [dps]."""
+        base = self.reference.rate if self.reference is not None else self.rate
+        return self.timing.moved - base
+
+
+def truth_or_error(recording: Recording, static: bool) -> None:
+    """Refuse a recording that has nothing to compare with."""
+    if "ref_rate_dps" not in recording and not static:
+        raise RequestError(
+            f"{recording.name}: no ref_rate_dps to compare with; record a reference, rename a column with "
+            "--columns ref_rate_dps=NAME, or say --static if the unit did not turn"
+        )
+    if "rate_dps" not in recording:
+        raise RequestError(f"{recording.name}: no rate_dps; rename a column with --columns rate_dps=NAME")
+
+
+def take_in(recording: Recording, checked: Checked, simulation: Simulation, settings: Settings, timing: Timing | None = None) -> Intake:
+    """Simulate, align and average one checked recording; a given `timing` is applied instead of being fitted."""
+    columns, valid = checked.columns, checked.valid
+    simulated = simulation.rate(recording.name, columns, settings.static, settings.power_on_known)
+    residual = np.where(valid, columns["rate_dps"] - simulated, 0.0)
+    truth = np.where(np.isfinite(columns["ref_rate_dps"]), columns["ref_rate_dps"], 0.0)
+    if "t_s" not in columns:
+        work = prepare(recording.name, columns, residual, np.zeros_like(truth), truth, valid)
+        return Intake(recording, checked, residual, simulated, None, Timing(moved=truth), [], work)
+    t = columns["t_s"]
+    filled = _bridged(residual, valid)
+    ref = reference(t, truth, filled)
+    found = align(columns, filled, ref, valid) if timing is None else timing
+    fast: list[FastFinding] = []
+    left = filled - (found.moved - ref.rate)
+    quantized = quantization_finding(columns["rate_dps"], left, valid)
+    line = line_finding(left, found.moved, t, valid)
+    fast = [f for f in (quantized, line) if f is not None]
+    if quantized is None:
+        fast += variance_findings(left, found.moved, t, valid)
+    work = prepare(
+        recording.name, columns, left, np.zeros_like(left), found.moved, valid, power_on_known=settings.power_on_known
+    )
+    return Intake(recording, checked, residual, simulated, ref, found, fast, work)
+
+
+def _bridged(values: FloatArray, valid: np.ndarray) -> FloatArray:
+    if valid.all():
+        return values
+    index = np.arange(len(values))
+    return np.interp(index, index[valid], values[valid]) if valid.any() else values
+
+
+def full_work(intake: Intake, power_on_known: bool) -> Work:
+    """The working view at the recording's own rows, to predict an effect on each of them."""
+    columns = intake.checked.columns
+    everything = np.ones(len(intake.rate), dtype=bool)
+    return prepare(
+        intake.recording.name, columns, intake.residual, np.zeros_like(intake.rate), intake.rate, everything,
+        power_on_known=power_on_known, max_blocks=10_000_000,
+    )
+
+
+def checked_recording(recording: Recording, static: bool) -> Checked:
+    """Integrity checks of one recording, after making sure that there is a truth."""
+    truth_or_error(recording, static)
+    return check(dict(recording.columns), static)

@@ -1,0 +1,138 @@
+"""The stages in order: integrity, intake, noise, locate, name, model, prove, verdict."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rtcomp.errors import RequestError
+from training.diagnose.classes import demoted, with_classes
+from training.diagnose.design import Domain, Frame, Library, domain
+from training.diagnose.generic import generic_groups
+from training.diagnose.intake import Intake, checked_recording, take_in
+from training.diagnose.integrity import Checked
+from training.diagnose.library import GROUPS, Survey
+from training.diagnose.naming import Model, build, forward
+from training.diagnose.prepare import survey
+from training.diagnose.prove import Proof, folded, placebo, predicted, prove
+from training.diagnose.search import Null, surrogate_null
+from training.diagnose.settings import Settings
+from training.diagnose.simulation import Simulation
+from training.diagnose.unknown import Located, Unknown, locate, unexplained
+from training.table import Recording
+
+logger = logging.getLogger(__name__)
+MIN_BLOCKS = 24
+Progress = Callable[[str], None]
+
+
+@dataclass
+class Analysis:
+    """Everything the stages found, before it is put into words."""
+
+    settings: Settings
+    simulation: Simulation
+    intakes: list[Intake]
+    heldout: list[Intake]
+    survey: Survey | None = None
+    domains: list[Domain] = field(default_factory=list)
+    library: Library | None = None
+    null: Null | None = None
+    model: Model | None = None
+    base: Model | None = None
+    demoted: list[str] = field(default_factory=list)
+    located: list[Located] = field(default_factory=list)
+    unknown: Unknown | None = None
+    proofs: list[Proof] = field(default_factory=list)
+    placebo: float | None = None
+    unusable: list[tuple[Recording, Checked]] = field(default_factory=list)
+
+
+def analyse(
+    recordings: Sequence[Recording], heldout: Sequence[Recording], simulation: Simulation, settings: Settings,
+    progress: Progress = lambda stage: None,
+) -> Analysis:
+    """Run every stage; held-out recordings are touched only by the proof."""
+    progress("integrity")
+    checked = [(r, checked_recording(r, settings.static)) for r in recordings]
+    unusable = [(r, c) for r, c in checked if c.unusable]
+    usable = [(r, c) for r, c in checked if not c.unusable]
+    kinds = {"t_s" in c.columns for _, c in usable}
+    if len(kinds) > 1:
+        raise RequestError("some recordings have t_s and others not; diagnose soaked points and time series apart")
+    progress("align")
+    intakes = [take_in(r, c, simulation, settings) for r, c in usable]
+    analysis = Analysis(settings, simulation, intakes, [], unusable=unusable)
+    if not intakes or max(len(i.work) for i in intakes) < MIN_BLOCKS:
+        return analysis
+    _search(analysis, progress)
+    progress("prove")
+    _prove(analysis, heldout)
+    return analysis
+
+
+def _search(analysis: Analysis, progress: Progress) -> None:
+    settings = analysis.settings
+    works = [i.work for i in analysis.intakes]
+    for index, work in enumerate(works):
+        work.index = index
+    progress("noise")
+    analysis.survey = found = survey(works)
+    analysis.domains = domains = [domain(w) for w in works]
+    base = build([], domains)
+    analysis.base = base
+    groups = [g for g in GROUPS if g.needs <= found.has and g.effect not in settings.left_out]
+    if not groups:
+        analysis.model = base
+        return
+    library = analysis.library = Library(domains, groups, found)
+    if not library.variants:
+        analysis.model, analysis.library = base, None
+        return
+    null = analysis.null = surrogate_null(library, domains, base.fit, settings.seed, count=settings.surrogates)
+    progress("locate")
+    generic = Library(domains, [g for g in generic_groups(works) if g.needs <= found.has], found)
+    analysis.located, generic_null = locate(generic, domains, base, settings.seed + 1)
+    progress("name")
+    model = forward(library, domains, null)
+    model, analysis.demoted = demoted(model, domains)
+    analysis.model = with_classes(library, domains, null, model)
+    analysis.model, analysis.unknown = unexplained(generic, domains, analysis.model, generic_null, analysis.demoted)
+
+
+def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:
+    settings, model = analysis.settings, analysis.model
+    if model is None:
+        return
+    if heldout:
+        for recording in heldout:
+            checked = checked_recording(recording, settings.static)
+            if checked.unusable:
+                analysis.unusable.append((recording, checked))
+                continue
+            analysis.heldout.append(take_in(recording, checked, analysis.simulation, settings))
+    if analysis.heldout:
+        for intake in analysis.heldout:
+            wave = predicted(model, intake, settings.power_on_known)
+            analysis.proofs.append(prove(intake, wave, settings.power_on_known))
+    else:
+        analysis.proofs = folded(model, analysis.intakes, settings.power_on_known)
+    analysis.placebo = placebo(model, analysis.intakes, analysis.proofs, analysis.domains)
+
+
+def residual_after(analysis: Analysis, index: int) -> np.ndarray:
+    """Block residual of recording `index` after the model [dps], its own offset and scale removed."""
+    from training.diagnose.prove import cleared
+    from training.diagnose.refit import waveform
+
+    work = analysis.intakes[index].work
+    left = work.y.copy()
+    model = analysis.model
+    if model is not None:
+        for part, where in zip(model.parts, model.slices(), strict=True):
+            left = left - waveform(part, model.fit.beta[where], work)
+    return cleared(left, work.w, np.ones(len(left), bool))
+
+
+__all__ = ["Analysis", "Frame", "analyse", "residual_after"]

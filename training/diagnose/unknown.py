@@ -1,0 +1,106 @@
+"""Locate before naming, and catch after naming what no catalogue entry carries."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from training.diagnose.design import Domain, Library
+from training.diagnose.generic import CYCLIC
+from training.diagnose.library import Group
+from training.diagnose.naming import ALPHA, Model, Part, build, partial_chi2, residual_scan
+from training.diagnose.search import Null, surrogate_null
+
+GENERIC_SURROGATES = 40
+WITHDRAW_SHARE = 0.10
+REMAINDER_ALPHA = 1e-3
+RATE_DRIVERS = frozenset({
+    "rate", "rate_times_temperature", "rate_times_temperature_rate", "rate_times_time", "rate_times_heading",
+})
+
+
+@dataclass
+class Located:
+    """One driver before naming: gain of any smooth function of it, and how often noise does as well."""
+
+    driver: str
+    gain: float
+    excess: float
+    p_value: float
+
+
+@dataclass
+class Unknown:
+    """Something significant without a name: its driver, an empirical model of it, and the names it displaced."""
+
+    driver: str
+    part: Part
+    p_value: float
+    chi2: float
+    withdrawn: list[str]
+    named: bool
+
+
+def locate(generic: Library, domains: Sequence[Domain], base: Model, seed: int) -> tuple[list[Located], Null]:
+    """Rank drivers by what any smooth function of them explains of the null residual."""
+    null = surrogate_null(generic, domains, base.fit, seed, count=GENERIC_SURROGATES)
+    found = residual_scan(generic, base, null)
+    rows = [Located(d, max(c.statistic, 0.0), c.excess, null.p_value(c.excess)) for d, c in found.items()]
+    return sorted(rows, key=lambda row: -row.excess), null
+
+
+def unexplained(
+    generic: Library, domains: Sequence[Domain], model: Model, null: Null, names: list[str]
+) -> tuple[Model, Unknown | None]:
+    """Check the remainder of the named model against every driver.
+
+    Nothing named and something there: unknown.  Named, but a smooth function of a driver adds a good part of what
+    the name explains: the name is withdrawn.  Less: a remainder.
+    """
+    found = residual_scan(generic, model, null)
+    if not found:
+        return model, None
+    driver, top = max(found.items(), key=lambda item: item[1].excess)
+    p_value = null.p_value(top.excess)
+    if p_value > REMAINDER_ALPHA:
+        return model, None
+    group = top.variant.group
+    part = Part(group, [top.variant.parameters], p_value)
+    joint = build([*model.parts, part], domains, model.fit.weights)
+    strength = partial_chi2(joint)[-1]
+    if not model.parts:
+        return model, Unknown(driver, part, p_value, strength, names, named=p_value < ALPHA)
+    related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
+    strongest = max((model.parts[i].chi2 for i in related), default=0.0)
+    if related and strength > WITHDRAW_SHARE * strongest:
+        return _withdrawn(generic, domains, model, null, related)
+    return model, Unknown(driver, part, p_value, strength, [], named=False)
+
+
+def _withdrawn(
+    generic: Library, domains: Sequence[Domain], model: Model, null: Null, related: list[int]
+) -> tuple[Model, Unknown | None]:
+    """Take the related names back and let a smooth function of the best driver stand in their place."""
+    kept = build([p for i, p in enumerate(model.parts) if i not in related], domains, model.fit.weights)
+    kept = Model([replace(p) for p in kept.parts], kept.frame, kept.fit)
+    found = residual_scan(generic, kept, null)
+    driver, top = max(found.items(), key=lambda item: item[1].excess)
+    part = Part(top.variant.group, [top.variant.parameters], null.p_value(top.excess))
+    joint = build([*kept.parts, part], domains, kept.fit.weights)
+    names = [model.parts[i].effect for i in related]
+    return kept, Unknown(driver, part, part.p_value, partial_chi2(joint)[-1], names, named=True)
+
+
+def _related(group: Group, driver: str) -> bool:
+    """Whether a remainder on this driver can be what the name failed to explain: both scale-like or both bias-like."""
+    scale_like = bool({"rate"} & group.needs)
+    if driver in CYCLIC or group.effect in ("magnetic", "table_eccentricity"):
+        return (driver in CYCLIC) == (group.effect in ("magnetic", "table_eccentricity"))
+    return scale_like == (driver in RATE_DRIVERS)
+
+
+def empirical(unknown: Unknown, domains: Sequence[Domain], model: Model) -> Model:
+    """The named parts and the empirical part fitted together."""
+    joint = build([*model.parts, unknown.part], domains, model.fit.weights)
+    np.testing.assert_equal(len(joint.parts), len(model.parts) + 1)
+    return joint
