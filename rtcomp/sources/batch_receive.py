@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcomp.frames import CAN_ERR_CRTL, CAN_ERR_CRTL_RX_OVERFLOW, CLOCK_STEP_ID, FRAME, FrameFlag
-from rtcomp.jit import kernel
+from rtcomp.jit import hot_kernel
 from rtcomp.sources.clock import STEP_NS, SteadyClock
 from rtcomp.sources.libc import (
     CLOCK_MONOTONIC,
@@ -86,25 +86,25 @@ class Workspace:
         headers[:, 5] = 8 * CONTROL_WORDS
 
 
-@kernel
+@hot_kernel
 def raw_word(batch, slot):
     """Where slot's raw frame begins."""
     return STATE_WORDS + (HEADER_WORDS + VECTOR_WORDS) * batch + RAW_WORDS * slot
 
 
-@kernel
+@hot_kernel
 def control_word(batch, slot):
     """Where slot's control messages begin."""
     return STATE_WORDS + (HEADER_WORDS + VECTOR_WORDS + RAW_WORDS) * batch + CONTROL_WORDS * slot
 
 
-@kernel
+@hot_kernel
 def _clock(words, address, which):
     clock_gettime(which, address + 8 * CLOCK_SECONDS)
     return int(words[CLOCK_SECONDS]) * NANO + int(words[CLOCK_NANOS])
 
 
-@kernel
+@hot_kernel
 def _host_offset(words, address):
     """What to add to the monotonic time to read as the host's clock does; the tightest of five readings."""
     best, offset = 1 << 62, 0
@@ -117,7 +117,7 @@ def _host_offset(words, address):
     return offset
 
 
-@kernel
+@hot_kernel
 def _read_clocks(words, address):
     """The steady time now; words[STEP] becomes what the host's clock has stepped since the last call."""
     host = _clock(words, address, CLOCK_REALTIME)
@@ -132,7 +132,7 @@ def _read_clocks(words, address):
     return now + int(words[OFFSET])
 
 
-@kernel
+@hot_kernel
 def _steady_time(words, stamp, now):
     """A kernel time stamp (host's clock) on the steady clock; in the batch of a step, either side of it."""
     time = stamp - int(words[HOST_OFFSET]) + int(words[OFFSET])
@@ -142,7 +142,7 @@ def _steady_time(words, stamp, now):
     return time
 
 
-@kernel
+@hot_kernel
 def _hardware_time(words, stamp, arrival):
     """An adapter's time stamp on the steady clock.
 
@@ -160,7 +160,7 @@ def _hardware_time(words, stamp, arrival):
     return stamp + offset
 
 
-@kernel
+@hot_kernel
 def _read_control(words, slot, now):
     """The frame's time on the steady clock, and by how much the socket's drop counter has grown before it."""
     batch = int(words[BATCH])
@@ -188,7 +188,7 @@ def _read_control(words, slot, now):
     return max(time, int(words[LAST_TIME])), dropped
 
 
-@kernel
+@hot_kernel
 def _new_drops(words, counter):
     """How many frames were dropped since the counter was last seen; it wraps at 32 bits."""
     dropped = (counter - int(words[DROPS])) & LOW
@@ -197,7 +197,7 @@ def _new_drops(words, counter):
     return dropped
 
 
-@kernel
+@hot_kernel
 def _put_event(frames, row, time, can_id, payload):
     frames[row, 0] = time
     frames[row, 1] = can_id | EVENT_WORD
@@ -206,12 +206,12 @@ def _put_event(frames, row, time, can_id, payload):
         frames[row, k] = 0
 
 
-@kernel
+@hot_kernel
 def _put_overflow(frames, row, time, dropped):
     _put_event(frames, row, time, CAN_ERR_CRTL, CAN_ERR_CRTL_RX_OVERFLOW << 8 | dropped << 16)
 
 
-@kernel
+@hot_kernel
 def _convert(words, slot, frames, row):
     """Write slot's frame, all but its time, to `frames[row]`; False if it is neither classical nor FD."""
     size = int(words[STATE_WORDS + HEADER_WORDS * slot + 7]) & LOW
@@ -241,7 +241,7 @@ def _convert(words, slot, frames, row):
     return True
 
 
-@kernel
+@hot_kernel
 def receive_batch(words, address, frames, timeout_ms):
     """Wait for frames, take what is there, write them and what happened to `frames`.
 
@@ -275,7 +275,7 @@ def receive_batch(words, address, frames, timeout_ms):
     return rows
 
 
-@kernel
+@hot_kernel
 def take_batch(words, address, frames, count):
     """Turn `count` filled slots into rows of `frames`; returns how many."""
     now = _read_clocks(words, address)

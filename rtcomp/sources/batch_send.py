@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcomp.frames import FrameFlag
-from rtcomp.jit import kernel
+from rtcomp.jit import hot_kernel
 from rtcomp.sources.libc import (
     CLOCK_MONOTONIC,
     TIMER_ABSTIME,
@@ -45,20 +45,20 @@ def send_words(batch: int) -> NDArray[np.int64]:
     return words
 
 
-@kernel
+@hot_kernel
 def _now(words, address):
     clock_gettime(CLOCK_MONOTONIC, address + 8 * SECONDS)
     return int(words[SECONDS]) * NANO + int(words[NANOS])
 
 
-@kernel
+@hot_kernel
 def _sleep_until(words, address, deadline):
     words[SECONDS] = deadline // NANO
     words[NANOS] = deadline % NANO
     clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, address + 8 * SECONDS, 0)
 
 
-@kernel
+@hot_kernel
 def _put_frame(words, slot, frames, row):
     """Lay `frames[row]` (a FRAME as ten words) out as struct can_frame or canfd_frame in a slot."""
     batch = int(words[BATCH])
@@ -81,7 +81,7 @@ def _put_frame(words, slot, frames, row):
     )
 
 
-@kernel
+@hot_kernel
 def _send_once(words, address, descriptor, count, now):
     """Send `count` slots: how many frames are done with (sent, or the first given up), or 0 to try again."""
     sent = sendmmsg(descriptor, address + 8 * STATE_WORDS, count, MSG_DONTWAIT)
@@ -101,7 +101,7 @@ def _send_once(words, address, descriptor, count, now):
     return -1
 
 
-@kernel
+@hot_kernel
 def send_paced(words, address, descriptor, frames, deadlines, sent_at, first, end):
     """Send `frames[first:]` at their deadlines until monotonic time `end` [ns]; returns the first not sent.
 

@@ -121,7 +121,7 @@ def open_can(text: str, **options: Any) -> "can.BusABC":
         ) from error
 
 
-def open_bus(text: str, filters: Sequence[Filter] | None = None) -> Source:
+def open_bus(text: str, filters: Sequence[Filter] | None = None, clock: SteadyClock | None = None) -> Source:
     """Open `interface:channel?key=value&…` as a source of frames.
 
     Args:
@@ -129,6 +129,7 @@ def open_bus(text: str, filters: Sequence[Filter] | None = None) -> Source:
             `pcan:PCAN_USBBUS1?bitrate=500000`, …
         filters: ids to receive, as (id, mask, extended); None for all. The kernel or the adapter applies them
             where it can; other frames may still come.
+        clock: what the frames' time is read from; one of its own if not given.
 
     Raises:
         RequestError: the text is malformed or there is no such bus.
@@ -141,11 +142,11 @@ def open_bus(text: str, filters: Sequence[Filter] | None = None) -> Source:
         return bus
 
     if parse_spec(text).interface != "socketcan":
-        return PythonCanSource(opened(), text)
+        return PythonCanSource(opened(), text, clock)
     from rtcomp.sources.socketcan import SocketCanSource
 
     try:
-        return SocketCanSource(opened, text)
+        return SocketCanSource(opened, text, clock)
     except OSError as error:
         raise RequestError(f"bus {text!r} cannot be received from: {error}; see `rtcomp doctor`") from error
 

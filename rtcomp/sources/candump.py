@@ -58,7 +58,7 @@ class CandumpReader(Iterator[NDArray[Any]]):
         self.skipped = 0
         self.first_skipped: list[int] = []
         self._chunk = max(chunk, 256)
-        self._file = open_log(self.path)
+        open_log(self.path).close()  # refuse here what is not there; hold nothing before reading begins
         self._bad_lines = np.zeros(FIRST_SKIPPED, np.int64)
         self._arrays = self._read()
 
@@ -68,11 +68,10 @@ class CandumpReader(Iterator[NDArray[Any]]):
     def close(self) -> None:
         """Close the file; reading ends here."""
         self._arrays.close()
-        self._file.close()
 
     def _read(self) -> Generator[NDArray[Any], None, None]:
-        with self._file:
-            broken = yield from self._parse_blocks()
+        with open_log(self.path) as file:
+            broken = yield from self._parse_blocks(file)
         if self.skipped:
             first = ", ".join(map(str, self.first_skipped))
             log.warning("%s: skipped %d unreadable lines (line %s%s)", self.path, self.skipped, first,
@@ -88,12 +87,12 @@ class CandumpReader(Iterator[NDArray[Any]]):
                 "`(1436509052.249713) can0 123#11AABB`: record with `candump -L`, or name the file by format"
             )
 
-    def _parse_blocks(self) -> Generator[NDArray[Any], None, str]:
+    def _parse_blocks(self, file: BinaryIO) -> Generator[NDArray[Any], None, str]:
         """Yield arrays; returns what broke the file, or an empty string."""
         rest = b""
         overlong = False  # inside a line that is longer than a block: it cannot be a frame
         while True:
-            block, broken = self._next_block()
+            block, broken = self._next_block(file)
             at_end = len(block) == 0
             if overlong:
                 cut = block.find(b"\n")
@@ -109,9 +108,9 @@ class CandumpReader(Iterator[NDArray[Any]]):
                 self._skip_line()
                 rest, overlong = b"", True
 
-    def _next_block(self) -> tuple[bytes, str]:
+    def _next_block(self, file: BinaryIO) -> tuple[bytes, str]:
         """The next bytes, none at the end; and what broke the file there, if anything did."""
-        reader = cast(Any, self._file)
+        reader = cast(Any, file)
         parts, size = [], 0
         try:
             while size < self._chunk and (part := reader.read1(self._chunk - size)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcomp.frames import FrameFlag
-from rtcomp.jit import kernel
+from rtcomp.jit import hot_kernel
 
 EXTENDED, FD, ERROR = int(FrameFlag.EXTENDED), int(FrameFlag.FD), int(FrameFlag.ERROR)
 REMOTE, BRS, ESI = int(FrameFlag.REMOTE), int(FrameFlag.BITRATE_SWITCH), int(FrameFlag.ERROR_STATE)
@@ -30,7 +30,7 @@ HEX_VALUES: NDArray[np.uint8] = _hex_values
 HEX_DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
 
-@kernel
+@hot_kernel
 def _skip(text, p, stop, blanks):
     """The position after the blanks, or after the characters that are none, at `p`."""
     while p < stop and (int(text[p]) == SPACE) == blanks:
@@ -38,7 +38,7 @@ def _skip(text, p, stop, blanks):
     return p
 
 
-@kernel
+@hot_kernel
 def _time_ns(text, p, stop):
     """Read `(seconds.fraction)` at `p`: time [ns], digits beyond the ninth cut off; next position or -1."""
     if p >= stop or int(text[p]) != OPEN:
@@ -68,7 +68,7 @@ def _time_ns(text, p, stop):
     return (-time if negative else time), p + 1
 
 
-@kernel
+@hot_kernel
 def _identifier(text, p, stop):
     """Read `id#` at `p`: id without its flag bits, FrameFlag bits, next position or -1."""
     value = 0
@@ -86,7 +86,7 @@ def _identifier(text, p, stop):
     return 0, 0, -1
 
 
-@kernel
+@hot_kernel
 def _payload(text, p, stop, longest, data, row):
     """Read hexadecimal bytes at `p` into `data[row]`: how many, next position or -1."""
     length = 0
@@ -100,7 +100,7 @@ def _payload(text, p, stop, longest, data, row):
     return length, p
 
 
-@kernel
+@hot_kernel
 def _tail_is_clean(text, p, stop):
     """Whether only the raw length code (`_9`…`_F`) and the direction (` R`, ` T`) follow."""
     if p + 1 < stop and int(text[p]) == 95 and HEX_VALUES[text[p + 1]] != NO_DIGIT:  # "_"
@@ -114,7 +114,7 @@ def _tail_is_clean(text, p, stop):
     return p + 1 == stop and letter in (114, 116)  # r, t
 
 
-@kernel
+@hot_kernel
 def _parse_line(text, p, stop, frames, row):
     """Read one line, without blanks around it, into `frames[row]` (zeroed before); False if it is none."""
     time, p = _time_ns(text, p, stop)
@@ -156,7 +156,7 @@ def _parse_line(text, p, stop, frames, row):
     return True
 
 
-@kernel
+@hot_kernel
 def parse_lines(text, begin, end, frames, lines_before, bad_lines):
     """Read whole lines of `text[begin:end]` into zeroed `frames` until either is used up.
 
@@ -190,7 +190,7 @@ def parse_lines(text, begin, end, frames, lines_before, bad_lines):
     return begin, rows, lines, bad
 
 
-@kernel
+@hot_kernel
 def _put_decimal(out, p, value, digits):
     """Write `value` with at least `digits` decimal digits at `p`; returns the next position."""
     count = 1
@@ -204,7 +204,7 @@ def _put_decimal(out, p, value, digits):
     return p + count
 
 
-@kernel
+@hot_kernel
 def _put_hex(out, p, value, digits):
     """Write `value` with exactly `digits` hexadecimal digits at `p`; returns the next position."""
     for k in range(digits):
@@ -212,7 +212,7 @@ def _put_hex(out, p, value, digits):
     return p + digits
 
 
-@kernel
+@hot_kernel
 def _put_line(frames, i, channel, out, p):
     """Write frame `i` as one line at `p`; returns the next position."""
     time = int(frames["t_ns"][i])
@@ -252,7 +252,7 @@ def _put_line(frames, i, channel, out, p):
     return p + 1
 
 
-@kernel
+@hot_kernel
 def format_lines(frames, first, channel, out):
     """Write `frames[first:]` as lines into `out`; returns the first frame not written and the bytes used."""
     p = 0

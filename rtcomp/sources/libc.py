@@ -9,7 +9,7 @@ import os
 
 from numba import types
 
-from rtcomp.jit import kernel
+from rtcomp.jit import hot_kernel
 
 CLOCK_REALTIME, CLOCK_MONOTONIC, TIMER_ABSTIME = 0, 1, 1
 
@@ -32,7 +32,7 @@ else:
 
     _errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
-    @kernel
+    @hot_kernel
     def last_error():
         """The calling thread's errno."""
         return _errno_location()[0]

@@ -159,12 +159,18 @@ class SocketCanSource:
     that is unplugged is opened again when it is back.
     """
 
-    def __init__(self, opened: Callable[[], "can.BusABC"], name: str, batch: int = BATCH):
+    def __init__(
+        self,
+        opened: Callable[[], "can.BusABC"],
+        name: str,
+        clock: SteadyClock | None = None,
+        batch: int = BATCH,
+    ):
         self.downs = 0
         self._open = opened
         self._name = name
         self._batch = batch
-        self._clock = SteadyClock()
+        self._clock = clock or SteadyClock()
         self._lost_before = 0
         self._is_down = False
         self._errors_told = 0
