@@ -67,13 +67,21 @@ def predict(
     stack = [models] if isinstance(models, Model) else list(models)
     rate = np.ascontiguousarray(rate_dps, np.float64)
     temp = np.ascontiguousarray(temp_degC, np.float64)
-    coil = np.full(rate.shape, np.nan) if coil_temp_degC is None else np.ascontiguousarray(coil_temp_degC, np.float64)
+    coil = (
+        np.full(rate.shape, np.nan)
+        if coil_temp_degC is None
+        else np.ascontiguousarray(coil_temp_degC, np.float64)
+    )
     t_ns = np.zeros(rate.shape, np.int64) if t_s is None else np.rint(np.asarray(t_s) * 1e9).astype(np.int64)
     if not rate.shape == temp.shape == coil.shape == t_ns.shape or rate.ndim != 1:
-        raise RequestError(f"rate, temperature and time differ in shape: {rate.shape}, {temp.shape}, {t_ns.shape}")
+        raise RequestError(
+            f"rate, temperature and time differ in shape: {rate.shape}, {temp.shape}, {t_ns.shape}"
+        )
     compensator = Compensator(stack, 0 if power_on_known and t_s is not None else None)
     error, std, flags = np.empty(rate.shape), np.empty(rate.shape), np.zeros(rate.shape, np.int64)
-    predict_rows(compensator.compiled, compensator.state, t_s is None, t_ns, rate, temp, coil, error, std, flags)
+    predict_rows(
+        compensator.compiled, compensator.state, t_s is None, t_ns, rate, temp, coil, error, std, flags
+    )
     return Prediction(error, std, flags)
 
 

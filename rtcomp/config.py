@@ -38,7 +38,9 @@ def load_config(path: str | Path) -> RunConfig:
     path = Path(path)
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise RequestError(f"{path}: {path.stat().st_size} bytes; a run's configuration is a small TOML file")
+            raise RequestError(
+                f"{path}: {path.stat().st_size} bytes; a run's configuration is a small TOML file"
+            )
         return msgspec.toml.decode(path.read_bytes(), type=RunConfig)
     except OSError as error:
         raise RequestError(f"cannot read configuration {path}: {error.strerror}") from error

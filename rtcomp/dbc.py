@@ -99,7 +99,9 @@ class SignalTable:
         self._index[key] = len(self._rows) - 1
         return len(self._rows) - 1
 
-    def _multiplexer(self, message_index: int, message: Any, signal: Any) -> tuple[int, list[tuple[int, int]]]:
+    def _multiplexer(
+        self, message_index: int, message: Any, signal: Any
+    ) -> tuple[int, list[tuple[int, int]]]:
         if signal.multiplexer_signal is None or not signal.multiplexer_ids:
             return -1, []
         selector = find_signal(message, signal.multiplexer_signal, message.name)

@@ -36,7 +36,7 @@ SIGNAL = np.dtype(
 @hot_kernel
 def raw_value(data, row, signal):
     """The unsigned raw value of `signal` in payload `data[row]` (array (n, 64) of uint8)."""
-    byte, step, shift, bits = signal.byte, signal.step, signal.shift, signal.bits
+    byte, step, shift, bits = signal["byte"], signal["step"], signal["shift"], signal["bits"]
     raw = np.uint64(data[row, byte]) >> np.uint64(shift)
     got = 8 - shift
     while got < bits:
@@ -83,29 +83,28 @@ def half_value(raw):
 @hot_kernel
 def scaled_value(raw, signal, scratch):
     """The value as the DBC gives it, in the DBC's unit; the same arithmetic as cantools."""
-    if signal.kind > SIGNED:
-        return float_value(raw, signal.bits, scratch) * signal.scale + signal.offset
-    value = signed_value(raw, signal.bits) if signal.kind == SIGNED else np.int64(raw)
-    if signal.exact == 2:
-        return np.float64(value * np.int64(signal.scale) + np.int64(signal.offset))
-    if signal.exact == 1:
-        return np.float64(value * np.int64(signal.scale)) + signal.offset
-    if signal.kind == UNSIGNED:
-        return np.float64(raw) * signal.scale + signal.offset
-    return np.float64(value) * signal.scale + signal.offset
-
+    if signal["kind"] > SIGNED:
+        return float_value(raw, signal["bits"], scratch) * signal["scale"] + signal["offset"]
+    value = signed_value(raw, signal["bits"]) if signal["kind"] == SIGNED else np.int64(raw)
+    if signal["exact"] == 2:
+        return np.float64(value * np.int64(signal["scale"]) + np.int64(signal["offset"]))
+    if signal["exact"] == 1:
+        return np.float64(value * np.int64(signal["scale"])) + signal["offset"]
+    if signal["kind"] == UNSIGNED:
+        return np.float64(raw) * signal["scale"] + signal["offset"]
+    return np.float64(value) * signal["scale"] + signal["offset"]
 
 
 @hot_kernel
 def is_selected(data, row, signals, index, mux_ranges):
     """Whether signal `index` is there in this payload: every multiplexer above it has a value that selects it."""
-    while signals[index].multiplexer >= 0:
-        selector = signals[index].multiplexer
+    while signals[index]["multiplexer"] >= 0:
+        selector = signals[index]["multiplexer"]
         raw = raw_value(data, row, signals[selector])
-        start = signals[index].mux_start
+        start = signals[index]["mux_start"]
         hit = False
-        for k in range(start, start + signals[index].mux_count):
-            if mux_ranges[k, 0] <= raw and raw <= mux_ranges[k, 1]:
+        for k in range(start, start + signals[index]["mux_count"]):
+            if mux_ranges[k, 0] <= raw <= mux_ranges[k, 1]:
                 hit = True
         if not hit:
             return False
@@ -116,8 +115,8 @@ def is_selected(data, row, signals, index, mux_ranges):
 @hot_kernel
 def is_available(raw, signal, na_ranges):
     """Whether the raw value is a measurement and not a code for "error" or "not available"."""
-    for k in range(signal.na_start, signal.na_start + signal.na_count):
-        if na_ranges[k, 0] <= raw and raw <= na_ranges[k, 1]:
+    for k in range(signal["na_start"], signal["na_start"] + signal["na_count"]):
+        if na_ranges[k, 0] <= raw <= na_ranges[k, 1]:
             return False
     return True
 
@@ -126,10 +125,10 @@ def is_available(raw, signal, na_ranges):
 def physical_value(data, row, signals, index, mux_ranges, na_ranges, scratch):
     """The value in our units, NaN when it is not there, not available or not finite."""
     signal = signals[index]
-    if signal.multiplexer >= 0 and not is_selected(data, row, signals, index, mux_ranges):
+    if signal["multiplexer"] >= 0 and not is_selected(data, row, signals, index, mux_ranges):
         return np.nan
     raw = raw_value(data, row, signal)
-    if signal.na_count > 0 and not is_available(raw, signal, na_ranges):
+    if signal["na_count"] > 0 and not is_available(raw, signal, na_ranges):
         return np.nan
-    value = scaled_value(raw, signal, scratch) * signal.factor + signal.shift_unit
+    value = scaled_value(raw, signal, scratch) * signal["factor"] + signal["shift_unit"]
     return value if np.isfinite(value) else np.nan

@@ -27,7 +27,9 @@ def json_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
     names = CORRECTED.names or ()
     for row in samples.tolist():
         values = dict(zip(names, row, strict=True))
-        document = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+        document = {
+            k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()
+        }
         flags = Flag(values["flags"])
         yield json.dumps(document | {"flag_names": [str(flag.name).lower() for flag in flags]}).encode()
 
@@ -74,5 +76,9 @@ def cdr_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
 
 ENCODERS: dict[str, Encoder] = {"struct": struct_payloads, "json": json_payloads, "cdr": cdr_payloads}
 """By the name of the `--encoding` option."""
-MIME = {"struct": "application/octet-stream;rtcomp.corrected/1", "json": "application/json", "cdr": "application/cdr"}
+MIME = {
+    "struct": "application/octet-stream;rtcomp.corrected/1",
+    "json": "application/json",
+    "cdr": "application/cdr",
+}
 """The zenoh encoding that goes with each."""

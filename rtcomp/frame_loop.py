@@ -36,7 +36,9 @@ CAUSES = (
     "not_available",
 )
 """Why a frame was rejected, in the order of the counts."""
-ERROR_FRAME, REMOTE_FRAME, ID_KIND, LENGTH, CRC, COUNTER_REPEAT, COUNTER_JUMP, NOT_AVAILABLE = range(len(CAUSES))
+ERROR_FRAME, REMOTE_FRAME, ID_KIND, LENGTH, CRC, COUNTER_REPEAT, COUNTER_JUMP, NOT_AVAILABLE = range(
+    len(CAUSES)
+)
 GOOD, IGNORED = -1, -2
 TOTALS = ("frames", "samples", "lost_frames", "clock_steps", "ignored")
 FRAMES, SAMPLES, LOST_FRAMES, CLOCK_STEPS, IGNORED_FRAMES = range(len(TOTALS))
@@ -52,7 +54,9 @@ FAULT, GAP = int(Flag.SENSOR_FAULT), int(Flag.GAP_BEFORE)
 class LoopState(NamedTuple):
     """What the loop remembers beside the compensator's `State`."""
 
-    counters: np.ndarray  # int64 (messages, 2): last counter (−1: none yet), frames it may have advanced unseen
+    counters: (
+        np.ndarray
+    )  # int64 (messages, 2): last counter (−1: none yet), frames it may have advanced unseen
     marks: np.ndarray  # int64 (channels): flag bits for the next sample
     values: np.ndarray  # float64 (channels, 3): temperature, coil temperature, reference rate (NaN: never)
     times: np.ndarray  # int64 (channels, 4) ns: of those three, and of the last rate frame
@@ -60,7 +64,9 @@ class LoopState(NamedTuple):
     rejected: np.ndarray  # int64 (causes)
     totals: np.ndarray  # int64 (TOTALS)
     flag_counts: np.ndarray  # int64 (32): samples per flag bit
-    scores: np.ndarray  # float64 (channels, 3): samples with a reference, sums of squared raw and corrected error
+    scores: (
+        np.ndarray
+    )  # float64 (channels, 3): samples with a reference, sums of squared raw and corrected error
 
 
 def new_loop_state(plan: Plan) -> LoopState:
@@ -97,12 +103,12 @@ def run_loop(plan, c, s, loop, frames, start, out, out_channel):
 @hot_kernel
 def take_frame(plan, c, s, loop, frames, i, out, out_channel, written):
     """One frame; returns how many samples are in `out` after it."""
-    flags = frames[i].flags
+    flags = frames[i]["flags"]
     if flags & ERROR:
         take_error_frame(loop, frames, i)
         return written
     loop.totals[FRAMES] += 1
-    m = find_message(plan, frames[i].can_id, (flags & EXTENDED) != 0)
+    m = find_message(plan, frames[i]["can_id"], (flags & EXTENDED) != 0)
     if m == IGNORED:
         loop.totals[IGNORED_FRAMES] += 1
         return written
@@ -119,14 +125,14 @@ def take_frame(plan, c, s, loop, frames, i, out, out_channel, written):
 @hot_kernel
 def take_error_frame(loop, frames, i):
     """The receiver's own events, and what the controller reports: nothing of it is data, all of it marks."""
-    if frames[i].can_id == 0:
+    if frames[i]["can_id"] == 0:
         loop.totals[CLOCK_STEPS] += 1
         mark_all(loop, STEP)
         return
-    if frames[i].can_id & CAN_ERR_CRTL and frames[i].data[1] & CAN_ERR_CRTL_RX_OVERFLOW:
+    if frames[i]["can_id"] & CAN_ERR_CRTL and frames[i]["data"][1] & CAN_ERR_CRTL_RX_OVERFLOW:
         lost = 0
         for k in range(4):
-            lost |= np.int64(frames[i].data[2 + k]) << (8 * k)
+            lost |= np.int64(frames[i]["data"][2 + k]) << (8 * k)
         loop.totals[LOST_FRAMES] += lost
         mark_all(loop, LOST)
         return
@@ -145,9 +151,9 @@ def mark_all(loop, bit):
 @hot_kernel
 def mark_message(plan, loop, m, bit):
     """Flag the next sample of every channel that message m feeds."""
-    first = plan.messages[m].first_use
-    for k in range(first, first + plan.messages[m].uses):
-        loop.marks[plan.uses[k].channel] |= bit
+    first = plan.messages[m]["first_use"]
+    for k in range(first, first + plan.messages[m]["uses"]):
+        loop.marks[plan.uses[k]["channel"]] |= bit
 
 
 @hot_kernel
@@ -159,8 +165,8 @@ def find_message(plan, can_id, extended):
         if m >= 0:
             return np.int64(m)
     for k in range(plan.messages.shape[0]):
-        if (can_id & plan.messages[k].mask) == plan.messages[k].can_id:
-            if (plan.messages[k].extended != 0) == extended:
+        if (can_id & plan.messages[k]["mask"]) == plan.messages[k]["can_id"]:
+            if (plan.messages[k]["extended"] != 0) == extended:
                 return k
             wrong_kind = -3 - k
     return wrong_kind
@@ -169,16 +175,16 @@ def find_message(plan, can_id, extended):
 @hot_kernel
 def check_frame(plan, loop, frames, i, m):
     """GOOD, or the cause for which the frame is rejected."""
-    if frames[i].flags & REMOTE:
+    if frames[i]["flags"] & REMOTE:
         return REMOTE_FRAME
-    length = frames[i].length
-    padded = (frames[i].flags & FD) != 0 and length == plan.messages[m].frame_length
-    if length != plan.messages[m].length and not padded:
+    length = frames[i]["length"]
+    padded = (frames[i]["flags"] & FD) != 0 and length == plan.messages[m]["frame_length"]
+    if length != plan.messages[m]["length"] and not padded:
         return LENGTH
-    if plan.messages[m].e2e != NO_E2E and not is_protected(plan, frames, i, m):
+    if plan.messages[m]["e2e"] != NO_E2E and not is_protected(plan, frames, i, m):
         loop.counters[m, 1] += 1  # its counter cannot be trusted, but it did take a step
         return CRC
-    if plan.messages[m].counter < 0:
+    if plan.messages[m]["counter"] < 0:
         return GOOD
     return check_counter(plan, loop, frames, i, m)
 
@@ -186,27 +192,27 @@ def check_frame(plan, loop, frames, i, m):
 @hot_kernel
 def is_protected(plan, frames, i, m):
     """Whether the end-to-end checksum holds."""
-    kind, data_id = plan.messages[m].e2e, plan.messages[m].data_id
+    kind, data_id = plan.messages[m]["e2e"], plan.messages[m]["data_id"]
     if kind == PROFILE_1A:
-        return profile1a_ok(frames[i].data, frames[i].length, data_id)
+        return profile1a_ok(frames[i]["data"], frames[i]["length"], data_id)
     if kind == PROFILE_5:
-        return profile5_ok(frames[i].data, frames[i].length, data_id, plan.messages[m].e2e_offset)
-    return toyota_ok(frames[i].data, frames[i].length, frames[i].can_id)
+        return profile5_ok(frames[i]["data"], frames[i]["length"], data_id, plan.messages[m]["e2e_offset"])
+    return toyota_ok(frames[i]["data"], frames[i]["length"], frames[i]["can_id"])
 
 
 @hot_kernel
 def check_counter(plan, loop, frames, i, m):
     """The counter must advance by 1…max_step, and by one more for every frame rejected since."""
-    counter = np.int64(payload_raw(frames, i, plan.signals[plan.messages[m].counter]))
+    counter = np.int64(payload_raw(frames, i, plan.signals[plan.messages[m]["counter"]]))
     last = loop.counters[m, 0]
-    allowed = plan.messages[m].max_step + loop.counters[m, 1]
+    allowed = plan.messages[m]["max_step"] + loop.counters[m, 1]
     loop.counters[m, 0] = counter
     loop.counters[m, 1] = 0
     if last < 0:
         return GOOD
-    step = (counter - last) % plan.messages[m].modulus
-    if step == 0 and allowed < plan.messages[m].modulus:
-        loop.counters[m, 1] = allowed - plan.messages[m].max_step
+    step = (counter - last) % plan.messages[m]["modulus"]
+    if step == 0 and allowed < plan.messages[m]["modulus"]:
+        loop.counters[m, 1] = allowed - plan.messages[m]["max_step"]
         return COUNTER_REPEAT
     return GOOD if step <= allowed else COUNTER_JUMP
 
@@ -214,18 +220,18 @@ def check_counter(plan, loop, frames, i, m):
 @hot_kernel
 def payload_raw(frames, i, signal):
     """Raw value of a signal in frame i."""
-    return raw_value(frames.data, i, signal)
+    return raw_value(frames["data"], i, signal)
 
 
 @hot_kernel
 def take_message(plan, c, s, loop, frames, i, m, out, out_channel, written):
     """Hand every signal of a good frame to its channel: temperatures first, then references, then rates."""
-    t_ns = frames[i].t_ns
-    first = plan.messages[m].first_use
-    for k in range(first, first + plan.messages[m].uses):
-        ch, role = plan.uses[k].channel, plan.uses[k].role
+    t_ns = frames[i]["t_ns"]
+    first = plan.messages[m]["first_use"]
+    for k in range(first, first + plan.messages[m]["uses"]):
+        ch, role = plan.uses[k]["channel"], plan.uses[k]["role"]
         value = physical_value(
-            frames.data, i, plan.signals, plan.uses[k].signal, plan.mux_ranges, plan.na_ranges, plan.scratch
+            frames["data"], i, plan.signals, plan.uses[k]["signal"], plan.mux_ranges, plan.na_ranges, plan.scratch
         )
         if role == RATE:
             if np.isnan(value):
@@ -261,11 +267,11 @@ def put_sample(plan, c, s, loop, frames, i, ch, t_ns, rate, out, row):
     if before != NEVER:
         if t_ns < before:
             flags |= STEP
-        elif plan.channels[ch].gap_ns > 0 and t_ns - before > plan.channels[ch].gap_ns:
+        elif plan.channels[ch]["gap_ns"] > 0 and t_ns - before > plan.channels[ch]["gap_ns"]:
             flags |= GAP
-    if abs(rate) >= plan.channels[ch].range_dps:
+    if abs(rate) >= plan.channels[ch]["range_dps"]:
         flags |= SATURATED
-    if plan.channels[ch].valid >= 0 and not is_ok(plan, frames, i, ch):
+    if plan.channels[ch]["valid"] >= 0 and not is_ok(plan, frames, i, ch):
         flags |= FAULT
     flags |= temperature_flags(plan, c, loop, ch, t_ns)
     correction = 0.0
@@ -276,19 +282,19 @@ def put_sample(plan, c, s, loop, frames, i, ch, t_ns, rate, out, row):
         correction, model_flags = predict_error(c, s, ch, t_ns, rate)
         flags |= model_flags
         std = sigma(c, s, ch, rate)
-    out[row].t_ns = t_ns
-    out[row].t_pub_ns = 0
-    out[row].seq = loop.seq[ch]
-    out[row].rate_raw_dps = rate
-    out[row].rate_dps = rate - correction
-    out[row].correction_dps = correction
-    out[row].temp_degC = loop.values[ch, TEMPERATURE]
-    out[row].sigma_dps = std
+    out[row]["t_ns"] = t_ns
+    out[row]["t_pub_ns"] = 0
+    out[row]["seq"] = loop.seq[ch]
+    out[row]["rate_raw_dps"] = rate
+    out[row]["rate_dps"] = rate - correction
+    out[row]["correction_dps"] = correction
+    out[row]["temp_degC"] = loop.values[ch, TEMPERATURE]
+    out[row]["sigma_dps"] = std
     taken = loop.times[ch, TEMPERATURE]
-    out[row].temp_age_s = np.nan if taken == NEVER else (t_ns - taken) * 1e-9
-    out[row].flags = flags
+    out[row]["temp_age_s"] = np.nan if taken == NEVER else (t_ns - taken) * 1e-9
+    out[row]["flags"] = flags
     reference = loop.values[ch, REFERENCE]
-    out[row].ref_rate_dps = reference
+    out[row]["ref_rate_dps"] = reference
     if not np.isnan(reference):
         loop.scores[ch, 0] += 1.0
         loop.scores[ch, 1] += (rate - reference) ** 2
@@ -311,12 +317,12 @@ def count_flags(loop, flags):
 @hot_kernel
 def is_ok(plan, frames, i, ch):
     """Whether the sensor's own status is one of the good ones."""
-    raw = payload_raw(frames, i, plan.signals[plan.channels[ch].valid])
-    start = plan.channels[ch].ok_start
-    for k in range(start, start + plan.channels[ch].ok_count):
-        if plan.ok_values[k] == raw:
-            return True
-    return False
+    raw = payload_raw(frames, i, plan.signals[plan.channels[ch]["valid"]])
+    start = plan.channels[ch]["ok_start"]
+    good = False
+    for k in range(start, start + plan.channels[ch]["ok_count"]):
+        good = good or plan.ok_values[k] == raw
+    return good
 
 
 @hot_kernel
@@ -325,13 +331,11 @@ def temperature_flags(plan, c, loop, ch, t_ns):
     taken = loop.times[ch, TEMPERATURE]
     if taken == NEVER:
         return MISSING
-    flags = STALE if abs(t_ns - taken) > plan.channels[ch].max_age_ns else 0
+    flags = STALE if abs(t_ns - taken) > plan.channels[ch]["max_age_ns"] else 0
     if c.needs[ch, 1]:
         taken = loop.times[ch, COIL]
         if taken == NEVER:
             flags |= MISSING
-        elif abs(t_ns - taken) > plan.channels[ch].coil_max_age_ns:
+        elif abs(t_ns - taken) > plan.channels[ch]["coil_max_age_ns"]:
             flags |= STALE
     return flags
-
-

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -110,10 +111,14 @@ def load_model(path: str | Path) -> Model:
 def _read(path: Path) -> str:
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise RequestError(f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
+            raise RequestError(
+                f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read"
+            )
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise RequestError(f"cannot read model {path}: {error.strerror}; give the path of a model file") from error
+        raise RequestError(
+            f"cannot read model {path}: {error.strerror}; give the path of a model file"
+        ) from error
     except UnicodeDecodeError as error:
         raise RequestError(f"{path}: not UTF-8 text; a model file is JSON (see `rtcomp train`)") from error
 
@@ -135,6 +140,17 @@ def parse_model(text: str, name: str) -> Model:
         )
     _check(model, name)
     return model
+
+
+def check_sensor(model: Model, sensor: str | None, name: str) -> None:
+    """Refuse a model of another sensor than the one that is stated.
+
+    Raises RequestError naming both.
+    """
+    if sensor is not None and model.sensor is not None and model.sensor != sensor:
+        raise RequestError(
+            f"{name} is a model of sensor {model.sensor}, but this is {sensor}; use its own model"
+        )
 
 
 def document_hash(document: dict[str, Any]) -> str:
@@ -176,7 +192,9 @@ def save_model(model: Model, path: str | Path) -> None:
 
 def write_document(document: dict[str, Any], path: str | Path) -> None:
     """Write a JSON document: whole or not at all."""
-    write_atomically(path, (json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+    write_atomically(
+        path, (json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+    )
 
 
 def write_atomically(path: str | Path, content: bytes) -> None:
@@ -188,7 +206,9 @@ def write_atomically(path: str | Path, content: bytes) -> None:
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise RequestError(f"cannot write {path}: {error.strerror}; give a file in a folder that exists") from error
+        raise RequestError(
+            f"cannot write {path}: {error.strerror}; give a file in a folder that exists"
+        ) from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -213,7 +233,9 @@ def _parse_json(text: str, name: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise RequestError(f"{name}: not a model file: {error}") from error
     if not isinstance(document, dict):
-        raise RequestError(f"{name}: got a JSON {type(document).__name__}, wanted an object with schema {SCHEMA!r}")
+        raise RequestError(
+            f"{name}: got a JSON {type(document).__name__}, wanted an object with schema {SCHEMA!r}"
+        )
     return document
 
 
@@ -273,7 +295,9 @@ def _check_rules(model: Model, name: str) -> None:
         rows = getattr(rules, key)
         shape = (len(rows), sorted({len(row) for row in rows}))
         if len(rows) != count or any(len(row) != columns for row in rows):
-            raise RequestError(f"{name}: rules.{key} has {shape[0]} rows of {shape[1]}, wanted {count} of {columns}")
+            raise RequestError(
+                f"{name}: rules.{key} has {shape[0]} rows of {shape[1]}, wanted {count} of {columns}"
+            )
     if any(width <= 0 for row in rules.widths for width in row):
         raise RequestError(f"{name}: rules.widths must all be above 0")
 
@@ -291,8 +315,15 @@ def _check_residual(model: Model, name: str) -> None:
     if not isinstance(residual, ResidualTable):
         return
     rows, columns = len(residual.temp_degC) - 1, len(residual.rate_dps) - 1
-    if rows < 1 or columns < 1 or len(residual.std_dps) != rows or any(len(r) != columns for r in residual.std_dps):
-        raise RequestError(f"{name}: residual_std_dps.std_dps must have {rows} rows of {columns}: one per region")
+    if (
+        rows < 1
+        or columns < 1
+        or len(residual.std_dps) != rows
+        or any(len(r) != columns for r in residual.std_dps)
+    ):
+        raise RequestError(
+            f"{name}: residual_std_dps.std_dps must have {rows} rows of {columns}: one per region"
+        )
     for edges in (residual.temp_degC, residual.rate_dps):
-        if any(b <= a for a, b in zip(edges, edges[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(edges)):
             raise RequestError(f"{name}: residual_std_dps: edges must rise, got {edges}")

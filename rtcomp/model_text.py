@@ -55,10 +55,16 @@ def _residual(model: Model) -> str:
 def _rules_table(model: Model) -> Any:
     from rich.table import Table
 
-    table = Table("rule", *(f"{name}: centre ± width" for name in model.inputs), "error [°/s] =", title_justify="left")
+    table = Table(
+        "rule", *(f"{name}: centre ± width" for name in model.inputs), "error [°/s] =", title_justify="left"
+    )
     rules = model.rules
-    for j, (center, width, row) in enumerate(zip(rules.centers, rules.widths, rules.consequents, strict=True), 1):
+    for j, (center, width, row) in enumerate(
+        zip(rules.centers, rules.widths, rules.consequents, strict=True), 1
+    ):
         sets = [f"{v:.4g} ± {s:.4g}" for v, s in zip(center, width, strict=True)]
-        output = f"{row[0]:.4g} " + " ".join(f"{a:+.4g}·{n}" for a, n in zip(row[1:], model.inputs, strict=True))
+        output = f"{row[0]:.4g} " + " ".join(
+            f"{a:+.4g}·{n}" for a, n in zip(row[1:], model.inputs, strict=True)
+        )
         table.add_row(str(j), *sets, output)
     return table

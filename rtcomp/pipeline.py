@@ -99,12 +99,15 @@ class Pipeline:
                 if self._adopt(ch, stacks[ch], compiled, state):
                     state.times[ch] = self.state.times[ch]
                     state.values[ch] = self.state.values[ch]
-        self.loop.marks |= int(Flag.MODEL_SWAPPED)
+        self.loop.marks[:] |= int(Flag.MODEL_SWAPPED)
         self.stacks, self.compiled, self.state = stacks, compiled, state
 
     def _adopt(self, ch: int, stack: Sequence[Model], compiled: Compiled, state: State) -> bool:
         """Copy the states of terms that are thermally the same; True when nothing of the new stack is unsettled."""
-        old = {_thermal_key(t): k for k, t in enumerate(_terms(self.stacks[ch]), int(self.compiled.term_start[ch]))}
+        old = {
+            _thermal_key(t): k
+            for k, t in enumerate(_terms(self.stacks[ch]), int(self.compiled.term_start[ch]))
+        }
         complete = not any(model.inputs and model.filters for model in stack)
         for k, term in enumerate(_terms(stack), int(compiled.term_start[ch])):
             key = _thermal_key(term)

@@ -142,7 +142,9 @@ class _Compiler:
         self._use(index, TEMPERATURE, channel.temperature, where)
         self._use(index, COIL, channel.coil_temperature, where)
         self._use(index, REFERENCE, channel.reference, where)
-        rate = find_signal(find_message(self.database, channel.rate.message, where), channel.rate.signal, where)
+        rate = find_signal(
+            find_message(self.database, channel.rate.message, where), channel.rate.signal, where
+        )
         warning = quantum_warning(channel, float(rate.conversion.scale), channel.rate.unit or rate.unit)
         self.warnings += [warning] if warning else []
         start = len(self.ok_values)
@@ -174,7 +176,12 @@ class _Compiler:
         else:
             unit, sign = temperature_unit(spec.unit or signal.unit, owner), 1
         row = self.table.add(
-            index, message, signal, sign * unit.factor, sign * unit.offset, _unavailable(spec.not_available, signal)
+            index,
+            message,
+            signal,
+            sign * unit.factor,
+            sign * unit.offset,
+            _unavailable(spec.not_available, signal),
         )
         self.uses.append((index, role, channel, row))
 
@@ -206,7 +213,9 @@ class _Compiler:
         for row, message in zip(messages, self.messages, strict=True):
             key = (int(row["can_id"]), int(row["extended"]))
             if key in seen:
-                raise RequestError(f"messages {seen[key]} and {message.name} have one CAN id 0x{key[0]:X}; keep one")
+                raise RequestError(
+                    f"messages {seen[key]} and {message.name} have one CAN id 0x{key[0]:X}; keep one"
+                )
             seen[key] = message.name
 
     @staticmethod
@@ -228,7 +237,9 @@ def _match(message: Any, rules: MessageRules) -> tuple[int, int]:
     if rules.match == "id":
         return can_id, ALL_BITS
     if not message.is_extended_frame:
-        raise RequestError(f'message {message.name}: match = "pgn" needs a 29-bit id, the DBC has 0x{can_id:X}')
+        raise RequestError(
+            f'message {message.name}: match = "pgn" needs a 29-bit id, the DBC has 0x{can_id:X}'
+        )
     pdu2 = (can_id >> 16) & 0xFF >= 240  # below, the next byte is a destination and no part of the PGN
     mask = 0x03FFFF00 if pdu2 else 0x03FF0000
     if rules.source_address is not None:
@@ -244,7 +255,7 @@ def _unavailable(spec: Any, signal: Any) -> list[tuple[int, int]]:
     for value in spec:
         low = -(1 << (signal.length - 1)) if signal.is_signed else 0
         if not low <= value <= top:
-            raise RequestError(f"signal {signal.name}: not_available {value} does not fit {signal.length} bits")
+            raise RequestError(
+                f"signal {signal.name}: not_available {value} does not fit {signal.length} bits"
+            )
     return [(value & top, value & top) for value in spec]
-
-

@@ -14,12 +14,14 @@ import numpy as np
 from rtcomp.config import RunConfig
 from rtcomp.errors import RequestError
 from rtcomp.frame_loop import FRAMES
-from rtcomp.model import Model, load_model, model_document
+from rtcomp.frames import FRAME
+from rtcomp.model import Model, check_sensor, load_model, model_document
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import CompiledMap, compile_map
 from rtcomp.publisher import Publisher
 from rtcomp.signal_map import load_map
 from rtcomp.sources.clock import SteadyClock
+from rtcomp.swap import Swapper
 
 log = logging.getLogger(__name__)
 
@@ -38,11 +40,12 @@ def load_stacks(models: list[str], names: tuple[str, ...], sensor: str | None) -
         channel, separator, path = item.partition("=")
         if not separator or channel not in names:
             if separator and not Path(item).exists():
-                raise RequestError(f"--model {item}: the map has no channel {channel!r}, only {', '.join(names)}")
+                raise RequestError(
+                    f"--model {item}: the map has no channel {channel!r}, only {', '.join(names)}"
+                )
             channel, path = "", item
         model = load_model(path)
-        if sensor is not None and model.sensor is not None and model.sensor != sensor:
-            raise RequestError(f"{path} is a model of sensor {model.sensor}, but this is {sensor}; use its own model")
+        check_sensor(model, sensor, path)
         for name in [channel] if channel else names:
             stacks.setdefault(name, []).append(model)
     return stacks
@@ -60,6 +63,11 @@ def saying_when_slow(say: Callable[[str], None]) -> Iterator[None]:
         timer.cancel()
 
 
+def warm_up(compiled_map: CompiledMap) -> None:
+    """Run the loop once on a throw-away pipeline, so that no frame waits for the compiler."""
+    list(Pipeline(compiled_map).process(np.zeros(1, FRAME)))
+
+
 class Runner:
     """Everything of one run, from the configuration to the summary.
 
@@ -72,13 +80,13 @@ class Runner:
             raise RequestError("wanted either --bus INTERFACE:CHANNEL or --log FILE, got both or neither")
         self.config, self.say = config, say
         self.map: CompiledMap = compile_map(load_map(config.map), config.dbc)
-        stacks = load_stacks(config.model, self.map.channel_names, config.sensor)
-        self.pipeline = Pipeline(self.map, stacks)
+        self.pipeline = Pipeline(self.map, self._load_stacks())
         self.clock = SteadyClock()
         self.stopped = threading.Event()
         self._resources = contextlib.ExitStack()
         self._source: Any = None
-        self._swap: dict[str, list[Model]] | None = None
+        self._swap: dict[str, list[Model]] = {}
+        self.swapper = Swapper(self._load_stacks, self._swap.update, config.sensor)
         self._started = self._ended = time.monotonic()
         self._powered = config.power_on != "first-frame"
         if isinstance(config.power_on, float):
@@ -92,23 +100,25 @@ class Runner:
         for warning in self.map.warnings:
             self.say(f"warning: {warning}")
         with saying_when_slow(self.say):
-            self._warm_up()
+            warm_up(self.map)
         self._open_source()
         try:
-            self.writer = self._resources.enter_context(CandumpWriter(self.config.record)) if self.config.record else None
+            self.writer = (
+                self._resources.enter_context(CandumpWriter(self.config.record))
+                if self.config.record
+                else None
+            )
             if session is None:
                 session = open_session(self.config.zenoh)
                 self._resources.callback(session.close)
             self.publisher = self._publisher(session)
+            if self.config.allow_swap:
+                keys = {name: self.publisher.key(name, "model/swap") for name in self.map.channel_names}
+                self.swapper.listen(session, keys)
+                self._resources.callback(self.swapper.close)
         except BaseException:
             self._resources.close()
             raise
-
-    def _warm_up(self) -> None:
-        """Run the loop once on a throw-away pipeline, so that no frame waits for the compiler."""
-        from rtcomp.frames import FRAME
-
-        list(Pipeline(self.map).process(np.zeros(1, FRAME)))
 
     def _open_source(self) -> None:
         if self.config.bus is not None:
@@ -119,7 +129,9 @@ class Runner:
             from rtcomp.sources.logs import read_log
 
             self._log = iter(read_log(str(self.config.log)))
-            self._first = next(self._log, None)  # a log that cannot be read is refused before anything is opened
+            self._first = next(
+                self._log, None
+            )  # a log that cannot be read is refused before anything is opened
 
     def _publisher(self, session: Any) -> Publisher:
         publisher = Publisher(
@@ -146,7 +158,9 @@ class Runner:
         if wait_s is None:
             wait_s = WAIT_SUBSCRIBER_S if self.config.log and self.config.zenoh else 0.0
         if wait_s and not self.publisher.wait_for_subscribers(wait_s):
-            self.say(f"no subscriber of {self.publisher.key('*', 'rate')} after {wait_s:g} s; going on without")
+            self.say(
+                f"no subscriber of {self.publisher.key('*', 'rate')} after {wait_s:g} s; going on without"
+            )
         self.publisher.start()
         self._started = time.monotonic()
         try:
@@ -174,18 +188,22 @@ class Runner:
         if not self._powered:
             self.pipeline.power_on(int(frames["t_ns"][0]))
             self._powered = True
-        if self._swap is not None:
-            stacks, self._swap = self._swap, None
-            self.pipeline.swap(stacks)
-            self.publisher.models = self._documents()
+        if self._swap:
+            self._swap_models()
         for samples in self.pipeline.process(frames):
             self.publisher.offer(samples.corrected, samples.channel, received_ns)
         if self.writer is not None:
             self.writer.append(frames)
 
-    def swap(self, stacks: dict[str, list[Model]]) -> None:
-        """Use other models from the next frames on (any thread)."""
-        self._swap = stacks
+    def _load_stacks(self) -> dict[str, list[Model]]:
+        return load_stacks(self.config.model, self.map.channel_names, self.config.sensor)
+
+    def _swap_models(self) -> None:
+        """Between two arrays of frames, so no sample sees half a model."""
+        changed = {name: self._swap.pop(name) for name in list(self._swap)}
+        stacks = dict(zip(self.map.channel_names, self.pipeline.stacks, strict=True)) | changed
+        self.pipeline.swap(stacks)
+        self.publisher.models = self._documents()
 
     def stop(self) -> None:
         """End the loop soon (any thread, or a signal handler)."""
@@ -217,6 +235,7 @@ class Runner:
             "rejected": self.pipeline.rejected,
             "flags": self.pipeline.flags,
             "clock_steps": counts["clock_steps"],
+            "swaps": dict(self.swapper.counts),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -230,14 +249,18 @@ class Runner:
             "latency_us": (stages["total"] if live else None) or {"p50": None, "p99": None},
             "stages_us": stages if live else None,
             "seconds": self._ended - self._started,
-            "channels": {n: int(s) for n, s in zip(self.map.channel_names, self.pipeline.loop.seq, strict=True)},
+            "channels": {
+                n: int(s) for n, s in zip(self.map.channel_names, self.pipeline.loop.seq, strict=True)
+            },
         }
 
 
 @contextlib.contextmanager
 def stopping_on_signals(runner: Runner) -> Iterator[None]:
-    """SIGINT and SIGTERM end the run cleanly."""
-    handlers = {number: signal.signal(number, lambda *_: runner.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+    """SIGINT and SIGTERM end the run cleanly; SIGHUP reads the model files again."""
+    actions = {"SIGINT": runner.stop, "SIGTERM": runner.stop, "SIGHUP": runner.swapper.reload}
+    numbers = {getattr(signal, name): act for name, act in actions.items() if hasattr(signal, name)}
+    handlers = {n: signal.signal(n, lambda *_, act=act: act()) for n, act in numbers.items()}
     try:
         yield
     finally:

@@ -1,8 +1,9 @@
 """The compiled step: a temperature in, a rate in, the predicted error out, with explicit state.
 
-When to call what: `thermal_update` at every valid temperature (time in ns, °C), `predict_error` at every rate
-(°/s in, predicted error in °/s out), both for one channel `ch` and in the order of the times. The thermal states move only with temperatures, exactly for a temperature
-linear in time between two of them; gaps and uneven sampling are in the times themselves.
+When to call what, both for one channel `ch` and in the order of the times: `thermal_update` at every valid
+temperature (time in ns, °C), `predict_error` at every rate (°/s in, predicted error in °/s out). The thermal states
+move only with temperatures, exactly for a temperature linear in time between two of them; gaps and uneven sampling
+are in the times themselves.
 """
 
 import math
@@ -33,7 +34,6 @@ from rtcomp.terms import (
     BIAS_T,
     BIAS_WARMUP,
     CUBIC,
-    DRIFT,
     EMPIRICAL,
     LAG,
     REF_DEGC,
@@ -60,7 +60,9 @@ T_THERMAL, T_POWER_ON, SETTLED_AT = range(3)
 class State(NamedTuple):
     """Everything the step remembers; a checkpoint is these arrays."""
 
-    values: np.ndarray  # float64 (channels, 4): last temperature, last coil temperature, lowest and highest temperature
+    values: (
+        np.ndarray
+    )  # float64 (channels, 4): last temperature, last coil temperature, lowest and highest temperature
     times: np.ndarray  # int64 (channels, 3) ns: last temperature, power-on (NEVER: unknown), when settled
     filters: np.ndarray  # float64 (groups, 2, 2): per input filter its state and output
     terms: np.ndarray  # float64 (terms, TERM_STATES): [0] is the thermal column the term multiplies
@@ -178,7 +180,9 @@ def shupe_column(p, x, t0, t1, dt, first):
 @hot_kernel
 def predict_error(c, s, ch, t_ns, rate):
     """Predicted error [°/s] of a measured rate [°/s], and the flag bits that the model adds."""
-    if (c.needs[ch, 0] and math.isnan(s.values[ch, LAST_TEMP])) or (c.needs[ch, 1] and math.isnan(s.values[ch, LAST_COIL])):
+    if (c.needs[ch, 0] and math.isnan(s.values[ch, LAST_TEMP])) or (
+        c.needs[ch, 1] and math.isnan(s.values[ch, LAST_COIL])
+    ):
         return 0.0, MISSING
     flags = 0
     timed = s.times[ch, T_POWER_ON] != NEVER
@@ -187,7 +191,11 @@ def predict_error(c, s, ch, t_ns, rate):
         flags |= UNSETTLED
     total = 0.0
     for g in range(c.group_start[ch], c.group_start[ch + 1]):
-        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = s.values[ch, LAST_TEMP], rate, s.values[ch, LAST_COIL]
+        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = (
+            s.values[ch, LAST_TEMP],
+            rate,
+            s.values[ch, LAST_COIL],
+        )
         s.inputs[TEMP_RATE], s.inputs[LAG_TEMP], s.inputs[TIME] = s.filters[g, 0, 1], s.filters[g, 1, 1], t
         for limited in range(N_INPUTS):
             k = c.limits[g, limited]
@@ -201,9 +209,9 @@ def predict_error(c, s, ch, t_ns, rate):
     w = rate - total  # the best estimate of the true rate
     for j in range(c.term_start[ch], c.term_start[ch + 1]):
         total += term_error(c, s, ch, j, rate, w, t, timed)
-        if c.term_kind[j] == BIAS_PLAY or c.term_kind[j] == SCALE_PLAY:
-            if not s.values[ch, HIGHEST] - s.values[ch, LOWEST] >= 2.0 * c.term[j, 0]:
-                flags |= UNSETTLED  # until then the play still shows where it started
+        is_play = c.term_kind[j] in (BIAS_PLAY, SCALE_PLAY)
+        if is_play and not s.values[ch, HIGHEST] - s.values[ch, LOWEST] >= 2.0 * c.term[j, 0]:
+            flags |= UNSETTLED  # until then the play still shows where it started
     return total, flags
 
 

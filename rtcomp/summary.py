@@ -25,7 +25,11 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("flags", _listed(summary["flags"]) or "none"),
     ]
     if summary["rms_raw_dps"] is not None:
-        ratio = summary["rms_raw_dps"] / summary["rms_corrected_dps"] if summary["rms_corrected_dps"] else float("inf")
+        ratio = (
+            summary["rms_raw_dps"] / summary["rms_corrected_dps"]
+            if summary["rms_corrected_dps"]
+            else float("inf")
+        )
         rms = f"{summary['rms_raw_dps']:.4g} °/s before, {summary['rms_corrected_dps']:.4g} °/s after ({ratio:.1f}×)"
         rows.append(("error rms", rms))
     for stage, percentiles in (summary.get("stages_us") or {}).items():

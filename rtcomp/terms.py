@@ -7,6 +7,7 @@ Symbols: e error [°/s] = measured − true; w best estimate of the true rate [�
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from rtcomp.errors import RequestError
@@ -51,7 +52,9 @@ TERMS: dict[str, TermKind] = {
         ("tau_s",),
     ),
     "bias_hysteresis": TermKind(BIAS_PLAY, "e = c·(p − T)", ("play_K", "c_dps_per_K"), positive=("play_K",)),
-    "scale_hysteresis": TermKind(SCALE_PLAY, "e = w·c·(p − T)", ("play_K", "c_ppm_per_K"), positive=("play_K",)),
+    "scale_hysteresis": TermKind(
+        SCALE_PLAY, "e = w·c·(p − T)", ("play_K", "c_ppm_per_K"), positive=("play_K",)
+    ),
     "scale_temperature_rate": TermKind(
         SCALE_RATE, "e = w·c·LP_τ(dT/dt)", ("tau_s", "c_ppm_s_per_K"), positive=("tau_s",)
     ),
@@ -59,7 +62,10 @@ TERMS: dict[str, TermKind] = {
         BIAS_T, "e = b1·h + b2·h² + b3·h³", ("b1_dps_per_K",), {"b2_dps_per_K2": 0.0, "b3_dps_per_K3": 0.0}
     ),
     "scale_temperature": TermKind(
-        SCALE_T, "e = w·(s1·h + s2·h² + s3·h³)", ("s1_ppm_per_K",), {"s2_ppm_per_K2": 0.0, "s3_ppm_per_K3": 0.0}
+        SCALE_T,
+        "e = w·(s1·h + s2·h² + s3·h³)",
+        ("s1_ppm_per_K",),
+        {"s2_ppm_per_K2": 0.0, "s3_ppm_per_K3": 0.0},
     ),
     "scale_nonlinearity": TermKind(
         CUBIC,
@@ -69,7 +75,9 @@ TERMS: dict[str, TermKind] = {
     ),
     "scale_asymmetry": TermKind(ASYMMETRY, "e = c·|w|", ("c_ppm",)),
     "bias_warmup": TermKind(BIAS_WARMUP, "e = A·exp(−t/τ)", ("amplitude_dps", "tau_s"), positive=("tau_s",)),
-    "scale_warmup": TermKind(SCALE_WARMUP, "e = w·A·exp(−t/τ)", ("amplitude_ppm", "tau_s"), positive=("tau_s",)),
+    "scale_warmup": TermKind(
+        SCALE_WARMUP, "e = w·A·exp(−t/τ)", ("amplitude_ppm", "tau_s"), positive=("tau_s",)
+    ),
     "polarization_ripple": TermKind(
         RIPPLE,
         "e = cos_dps·cos φ + sin_dps·sin φ, φ = 2π(h + χh²)/P",
@@ -78,7 +86,11 @@ TERMS: dict[str, TermKind] = {
         ("period_K",),
     ),
     "compensation_table": TermKind(
-        SAWTOOTH, "e = A·(2·frac((h − phase)/P) − 1)", ("period_K", "amplitude_dps"), {"phase_K": 0.0}, ("period_K",)
+        SAWTOOTH,
+        "e = A·(2·frac((h − phase)/P) − 1)",
+        ("period_K", "amplitude_dps"),
+        {"phase_K": 0.0},
+        ("period_K",),
     ),
     "bias_drift": TermKind(DRIFT, "e = c·t", ("c_dps_per_s",)),
     "source_ageing": TermKind(AGEING, "e = w·c·t", ("c_ppm_per_s",)),
@@ -106,7 +118,9 @@ def check_term(effect: str, parameters: Mapping[str, Any], where: str) -> None:
     extra = sorted(set(parameters) - set(kind.names))
     missing = sorted(set(kind.required) - set(parameters))
     if extra or missing:
-        raise RequestError(f"{where}: term {effect}: missing {missing}, unknown {extra}; it takes {list(kind.names)}")
+        raise RequestError(
+            f"{where}: term {effect}: missing {missing}, unknown {extra}; it takes {list(kind.names)}"
+        )
     if kind.code == EMPIRICAL:
         _check_empirical(parameters, where)
         return
@@ -122,10 +136,18 @@ def check_term(effect: str, parameters: Mapping[str, Any], where: str) -> None:
 def _check_empirical(parameters: Mapping[str, Any], where: str) -> None:
     knots, values = parameters["knots"], parameters["values"]
     if parameters["driver"] not in DRIVERS:
-        raise RequestError(f"{where}: term unknown: driver {parameters['driver']!r}; known are {', '.join(DRIVERS)}")
-    if not isinstance(knots, Sequence) or not isinstance(values, Sequence) or not len(knots) == len(values) >= 2:
-        raise RequestError(f"{where}: term unknown: knots and values must be two lists of one length, at least 2")
-    if any(b <= a for a, b in zip(knots, knots[1:], strict=False)):
+        raise RequestError(
+            f"{where}: term unknown: driver {parameters['driver']!r}; known are {', '.join(DRIVERS)}"
+        )
+    if (
+        not isinstance(knots, Sequence)
+        or not isinstance(values, Sequence)
+        or not len(knots) == len(values) >= 2
+    ):
+        raise RequestError(
+            f"{where}: term unknown: knots and values must be two lists of one length, at least 2"
+        )
+    if any(b <= a for a, b in pairwise(knots)):
         raise RequestError(f"{where}: term unknown: knots must rise")
     for name in ("times_rate", "tau_s"):
         if not isinstance(parameters.get(name, 1.0), int | float):

@@ -31,7 +31,9 @@ def open_session(config: str | Path | None, listen: bool = True) -> Any:
     try:
         return zenoh.open(settings)
     except zenoh.ZError as error:
-        raise WorkError(f"zenoh cannot open the session of {config or 'the default configuration'}: {error}") from error
+        raise WorkError(
+            f"zenoh cannot open the session of {config or 'the default configuration'}: {error}"
+        ) from error
 
 
 def _local_config(endpoint: str | None, listen: bool) -> Any:
@@ -50,7 +52,9 @@ def _read_config(path: Path) -> Any:
     import zenoh
 
     if not path.is_file():
-        raise RequestError(f"no zenoh configuration {path}; give a file, or `--zenoh {LOCAL}` for this machine only")
+        raise RequestError(
+            f"no zenoh configuration {path}; give a file, or `--zenoh {LOCAL}` for this machine only"
+        )
     try:
         return zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:

@@ -1,6 +1,7 @@
 """`rtcomp evaluate`: models and baselines scored on recordings."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,9 @@ def _show(told: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = Console(
+        width=None if sys.stdout.isatty() else 150, markup=False, highlight=False, soft_wrap=True
+    )
     table = Table("method", "max °/s", "std °/s", "RMS °/s", "95 % of RMS", "times better")
     for row in sorted(told["rows"], key=lambda row: row["rms_dps"]):
         interval = "{:.4g} … {:.4g}".format(*row["rms_ci95"]) if row["rms_ci95"] else "-"

@@ -7,22 +7,56 @@ import click
 
 
 @click.command("run")
-@click.option("--bus", help="python-can interface and channel: socketcan:can0, udp_multicast:239.0.0.1, pcan:PCAN_USBBUS1?bitrate=500000, …")
-@click.option("--log", help="A CAN log instead of a bus: candump, asc, blf, trc, mf4, csv, gz of each; as fast as it goes.")
+@click.option(
+    "--bus",
+    help="python-can interface and channel, with its options: socketcan:can0, udp_multicast:239.0.0.1, "
+    "pcan:PCAN_USBBUS1?bitrate=500000, …",
+)
+@click.option(
+    "--log",
+    help="A CAN log instead of a bus: candump, asc, blf, trc, mf4, csv, gz of each; as fast as it goes.",
+)
 @click.option("--map", "map", help="Signal map: a bundled name or a TOML file.  [default: fog]")
 @click.option("--dbc", help="DBC file, overriding the map's own.")
-@click.option("--model", multiple=True, help="Model FILE for every channel, or CHANNEL=FILE; several add up. Without one, rates pass through, flagged.")
+@click.option(
+    "--model",
+    multiple=True,
+    help="Model FILE for every channel, or CHANNEL=FILE; several add up. Without one, rates pass through, flagged.",
+)
 @click.option("--sensor", help="Serial number of the sensor; a model of another one is refused.")
-@click.option("--zenoh", help="zenoh configuration file, or 'local' for this machine only.  [default: in-process]")
+@click.option(
+    "--zenoh", help="zenoh configuration file, or 'local' for this machine only.  [default: in-process]"
+)
 @click.option("--prefix", help="First part of every key.  [default: rtcomp]")
-@click.option("--encoding", type=click.Choice(["struct", "json", "cdr"]), help="Payload of a sample.  [default: struct]")
+@click.option(
+    "--encoding", type=click.Choice(["struct", "json", "cdr"]), help="Payload of a sample.  [default: struct]"
+)
 @click.option("--record", help="Keep the received frames with their ns times: a candump .log or .log.gz.")
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this long.")
-@click.option("--power-on", help="When the sensor got power: first-frame, unknown, or UNIX seconds.  [default: first-frame]")
-@click.option("--wait-subscriber", "wait_subscriber_s", type=float, help="Wait this long for subscribers first.  [default: 2 s for a log on a zenoh network]")
-@click.option("--config", "config_file", help="TOML file with these options by their names; the command line goes first.")
+@click.option(
+    "--power-on",
+    help="When the sensor got power: first-frame, unknown, or UNIX seconds.  [default: first-frame]",
+)
+@click.option(
+    "--wait-subscriber",
+    "wait_subscriber_s",
+    type=float,
+    help="Wait this long for subscribers first.  [default: 2 s for a log on a zenoh network]",
+)
+@click.option(
+    "--config",
+    "config_file",
+    help="TOML file with these options by their names; the command line goes first.",
+)
+@click.option(
+    "--allow-swap",
+    is_flag=True,
+    help="Take a new model put to <prefix>/<channel>/model/swap. (SIGHUP reads the model files again in any case.)",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document at the end.")
-def command(config_file: str | None, as_json: bool, power_on: str | None, model: tuple[str, ...], **options: Any) -> None:  # fmt: skip
+def command(
+    config_file: str | None, as_json: bool, power_on: str | None, model: tuple[str, ...], **options: Any
+) -> None:
     """Correct a gyro's rates in real time and publish them on zenoh.
 
     \b

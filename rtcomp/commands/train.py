@@ -68,7 +68,7 @@ from rtcomp.errors import RequestError
 @click.option("--channel", help="Channel of the map, when it has several.")
 @click.option("--sensor", help="Serial number to write into the model; other sensors then refuse it.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document about the model.")
-def command(  # noqa: D417
+def command(
     recordings: tuple[Path, ...],
     output: Path,
     method: str,

@@ -1,0 +1,72 @@
+"""Other models while running: the files again on SIGHUP, or a put to an opt-in zenoh key.
+
+A swap is whole or not at all: what cannot be read, is of another sensor or fails its hash is refused, counted and
+said, and the old model stays. Nothing in a message names a file.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from rtcomp.errors import RequestError
+from rtcomp.model import MAX_BYTES, Model, check_sensor, parse_model
+
+log = logging.getLogger(__name__)
+
+Stacks = dict[str, list[Model]]
+
+
+class Swapper:
+    """Accepts and refuses new models for a run; `counts` is what became of them."""
+
+    def __init__(
+        self, load: Callable[[], Stacks], swap: Callable[[Stacks], None], sensor: str | None
+    ) -> None:
+        """`load` reads the run's model files again, `swap` hands stacks to the run."""
+        self.counts = {"accepted": 0, "refused": 0}
+        self._load, self._swap, self._sensor = load, swap, sensor
+        self._subscribers: list[Any] = []
+
+    def reload(self) -> None:
+        """Take the run's model files as they are now."""
+        self._try(self._load)
+
+    def listen(self, session: Any, keys: dict[str, str]) -> None:
+        """Accept models put to `keys[channel]`."""
+        for channel, key in keys.items():
+            self._subscribers.append(
+                session.declare_subscriber(
+                    key, lambda sample, channel=channel: self.take(channel, sample.payload.to_bytes())
+                )
+            )
+
+    def take(self, channel: str, payload: bytes) -> None:
+        """Use the model in `payload` for `channel`."""
+        self._try(lambda: {channel: [self._parse(payload)]})
+
+    def _parse(self, payload: bytes) -> Model:
+        if len(payload) > MAX_BYTES:
+            raise RequestError(f"a model of {len(payload)} bytes; at most {MAX_BYTES} are taken")
+        try:
+            text = payload.decode()
+        except UnicodeDecodeError as error:
+            raise RequestError(f"the model put is not UTF-8 text: {error.reason}") from error
+        model = parse_model(text, "the model put")
+        check_sensor(model, self._sensor, "the model put")
+        return model
+
+    def _try(self, read: Callable[[], Stacks]) -> None:
+        try:
+            stacks = read()
+        except RequestError as error:
+            self.counts["refused"] += 1
+            log.warning("model not swapped, the old one stays: %s", error)
+            return
+        self._swap(stacks)
+        self.counts["accepted"] += 1
+
+    def close(self) -> None:
+        """Stop listening."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        self._subscribers.clear()
