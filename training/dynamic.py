@@ -14,9 +14,9 @@ from rtcomp.model import Model, Term
 from training.build import ts_model
 from training.inputs import ROTATING_DPS, Checked, input_columns, lagged
 from training.refine import Antecedents, refine
+from training.regressors import regressors
 from training.scores import ratio_interval
 from training.ts import REFINE_ROWS, Scaling, TsFit, TsOptions, fit
-from training.regressors import regressors
 
 SHORTEST_S = 20.0
 LONGEST = 1 / 3  # of the training rows' duration: a longer time constant looks like a drift
@@ -60,6 +60,8 @@ def fit_dynamic(
     """
     options = options or TsOptions()
     masks = masks if masks is not None else [np.ones(len(item.recording), bool) for item in recordings]
+    pairs = [(item, mask) for item, mask in zip(recordings, masks, strict=True) if mask.any()]
+    recordings, masks = [item for item, _ in pairs], [mask for _, mask in pairs]
     turning = _rotating(recordings, masks)
     names = ["temp_degC", "rate_dps"] if turning else ["temp_degC"]
     rows = _gather(recordings, masks, names)
@@ -90,7 +92,8 @@ def judge(
     """Whether residuals without, with a lag and with a drift in time allow to claim the lag, and why."""
     gain = ratio_interval(lag, static, blocks)
     std = [1e3 * float(np.std(left)) for left in (static, lag, drift)]
-    told = f"error left {std[0]:.1f} m°/s static, {std[1]:.1f} with a lag of {taus[best]:.0f} s, {std[2]:.1f} with a drift in time"
+    told = f"error left {std[0]:.1f} m°/s static, {std[1]:.1f} with a lag of {taus[best]:.0f} s"
+    told += f", {std[2]:.1f} with a drift in time"
     if gain is None or gain[0] <= 1.0:
         return False, f"no lag claimed: {told}; the gain is within chance"
     if std[2] <= std[1]:

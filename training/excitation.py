@@ -50,4 +50,6 @@ def _collinear(inputs: np.ndarray, names: Sequence[str]) -> str | None:
         return None
     share = np.abs(vectors[:, 0])
     involved = [name for name, part in zip(names, share, strict=True) if part > 0.1]
-    return f"{' and '.join(involved)} are collinear: they move only together; record them apart or leave one out"
+    return (
+        f"{' and '.join(involved)} are collinear: they move only together; record them apart or leave one out"
+    )

@@ -17,7 +17,15 @@ from training.baselines import FILTERS, SURFACES
 from training.build import ts_model
 from training.gk import Settings
 from training.physics_informed import fit_physics
-from training.rate_table import Protocol, RateTable, ReferenceGyro, average, simulate_samples, split_points, split_soaks
+from training.rate_table import (
+    Protocol,
+    RateTable,
+    ReferenceGyro,
+    average,
+    simulate_samples,
+    split_points,
+    split_soaks,
+)
 from training.scores import median_interval
 from training.ts import TsOptions, fit
 
@@ -64,7 +72,11 @@ TIMES = {  # ratios to TS on validation as the paper states them: largest error,
     "lssvm": (6.4, 6.7),
     "bp_neural": (1.2, 1.2),
 }
-DOWN = {"uncompensated": (0.99, 0.99), "linear_bilinear": (0.96, 0.98), "bp_neural": (0.10, 0.20)}  # the abstract
+DOWN = {
+    "uncompensated": (0.99, 0.99),
+    "linear_bilinear": (0.96, 0.98),
+    "bp_neural": (0.10, 0.20),
+}  # the abstract
 
 
 @dataclass(frozen=True)
@@ -102,8 +114,12 @@ def error_left(method: str, run: Experiment, train: np.ndarray) -> np.ndarray:
         return FILTERS[method](run.readings).mean(axis=1) - table.true_dps
     if method in SURFACES:
         inputs = np.column_stack([table.temp_degC, table.rate_dps])
-        return table.error_dps - SURFACES[method].fit(inputs[train], table.error_dps[train], table.seed)(inputs)
-    return table.error_dps - predict(model_of(method, table, train), table.rate_dps, table.temp_degC).error_dps
+        return table.error_dps - SURFACES[method].fit(inputs[train], table.error_dps[train], table.seed)(
+            inputs
+        )
+    return (
+        table.error_dps - predict(model_of(method, table, train), table.rate_dps, table.temp_degC).error_dps
+    )
 
 
 def six(left: np.ndarray, train: np.ndarray) -> list[float]:
@@ -146,7 +162,13 @@ def report(seeds: int, progress: Callable[[int, str], None] | None = None) -> di
         printed = dict(zip(COLUMNS, PRINTED[method], strict=True)) if method in PRINTED else None
         interval = list(median_interval(points[:, k, 4]))
         rows.append(
-            {"method": method, **figures, "soak_split_std": float(middle_soaks[k]), "ci95": interval, "paper": printed}
+            {
+                "method": method,
+                **figures,
+                "soak_split_std": float(middle_soaks[k]),
+                "ci95": interval,
+                "paper": printed,
+            }
         )
     return {"rows": rows, "ratios": ratios(rows), "seeds": seeds}
 

@@ -102,7 +102,9 @@ def add_rules(
     return with_rules(base, found.rules, ["temp_degC", "rate_dps"], temp_degC, rate_dps)
 
 
-def with_rules(model: Model, rules: Rules, inputs: Sequence[str], temp: np.ndarray, rate: np.ndarray) -> Model:
+def with_rules(
+    model: Model, rules: Rules, inputs: Sequence[str], temp: np.ndarray, rate: np.ndarray
+) -> Model:
     """`model` with these rules, valid on the data."""
     return new_model(
         inputs=list(inputs),
@@ -135,4 +137,6 @@ def _check(temp_degC: np.ndarray, rate_dps: np.ndarray) -> None:
     for name, values, least in (("temp_degC", temp_degC, 5.0), ("rate_dps", rate_dps, 20.0)):
         span = float(np.ptp(values))
         if span < least:
-            raise RequestError(f"{name} spans {span:g}; the physical base needs at least {least:g} to be identified")
+            raise RequestError(
+                f"{name} spans {span:g}; the physical base needs at least {least:g} to be identified"
+            )

@@ -103,7 +103,9 @@ def simulate_samples(seed: int, gyro: ReferenceGyro, protocol: Protocol) -> np.n
     scale = 1 + gyro.soak_scale * rng.standard_normal(len(temps))
     shown = (gyro.measured_dps(coil[:, None], rates) + (scale[:, None] - 1) * rates).ravel()
     shown = shown + gyro.read_noise_dps * rng.standard_normal(shown.size)
-    white = rng.standard_normal((shown.size, protocol.samples)) * (ARW_DPS_PER_RTHZ / np.sqrt(protocol.period_s))
+    white = rng.standard_normal((shown.size, protocol.samples)) * (
+        ARW_DPS_PER_RTHZ / np.sqrt(protocol.period_s)
+    )
     white += shown[:, None]
     white /= gyro.lsb_dps
     np.rint(white, out=white)

@@ -7,7 +7,7 @@ so the search has half the dimensions and the consequents are never out of date.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from training.regressors import output_slopes, regressors
@@ -98,7 +98,7 @@ class _Projection:
         now = self.start.like(vector)
         phi = np.hstack([regressors(self.z, now.centers, now.widths, True), self.extra])
         stacked = np.vstack([phi, np.sqrt(RIDGE) * np.eye(self.size)])
-        self.q, r = qr(stacked, mode="economic", check_finite=False)
+        self.q, r = np.linalg.qr(stacked)
         self.theta = solve_triangular(r, self.q.T @ self.y, check_finite=False)
         # positive slope of the model output is what jacobian() returns, so the residual is model − data
         self.left = np.concatenate([stacked @ self.theta - self.y, self.pull * (vector - self.first)])

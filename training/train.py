@@ -1,7 +1,7 @@
 """`rtcomp train`: recordings in, a model out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
@@ -30,7 +30,7 @@ class Request:
     rules: int | None = None
     inputs: tuple[str, ...] | None = None  # None: temperature, and rate where the gyro turned
     filters: dict[str, float] | None = None
-    options: TsOptions = TsOptions()
+    options: TsOptions = field(default_factory=TsOptions)
     sensor: str | None = None
 
 
@@ -170,7 +170,8 @@ def _dynamic(
 ) -> Trained:
     if any("t_s" not in item.recording for item in recordings):
         raise RequestError("--method dynamic needs recordings over time (t_s); soaked points have no history")
-    found = fit_dynamic(recordings, None, replace(request.options, rules=request.rules or 4))
+    options = replace(request.options, method="gk-rls-refined", rules=request.rules or 4)
+    found = fit_dynamic(recordings, None, options)
     facts = {"claimed": found.claimed, "tau_s": found.tau_s, "rules": len(found.model.rules.centers)}
     return Trained(found.model, [found.sentence], facts)
 

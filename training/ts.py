@@ -39,7 +39,9 @@ class TsOptions:
         if self.method not in METHODS:
             raise RequestError(f"method {self.method!r}: give one of {', '.join(METHODS)}")
         if self.method == "gk-rls-refined" and not self.offset:
-            raise RequestError("φ without the offset is the paper's printed form: give it with --method gk-rls")
+            raise RequestError(
+                "φ without the offset is the paper's printed form: give it with --method gk-rls"
+            )
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Scaling:
 
     def rules(self, antecedents: Antecedents, theta: np.ndarray, offset: bool) -> Rules:
         """Rules in physical units."""
-        c, k = antecedents.centers.shape
+        c = len(antecedents.centers)
         slopes = theta.reshape(c, -1)[:, 1 if offset else 0 :] / self.scale
         constant = (theta.reshape(c, -1)[:, 0] if offset else np.zeros(c)) - slopes @ self.shift
         return Rules(
@@ -150,7 +152,9 @@ def _phi(inputs: np.ndarray, scaling: Scaling, antecedents: Antecedents, offset:
 def _sample(rows: int, seed: int, notes: list[str]) -> np.ndarray | slice:
     if rows <= REFINE_ROWS:
         return slice(None)
-    notes.append(f"refinement: antecedents from {REFINE_ROWS} of {rows} rows drawn at random, consequents from all")
+    notes.append(
+        f"refinement: antecedents from {REFINE_ROWS} of {rows} rows drawn at random, consequents from all"
+    )
     return np.sort(np.random.default_rng(seed).choice(rows, REFINE_ROWS, replace=False))
 
 
@@ -186,7 +190,9 @@ def fold_of_groups(groups: np.ndarray, folds: int, seed: int) -> np.ndarray:
     """Fold index of every row; a group is never divided."""
     unique, index = np.unique(groups, return_inverse=True)
     if len(unique) < 2:
-        raise RequestError("one group only: nothing can be held out; give --rules, or record more than one soak")
+        raise RequestError(
+            "one group only: nothing can be held out; give --rules, or record more than one soak"
+        )
     return (np.random.default_rng(seed).permutation(len(unique)) % min(folds, len(unique)))[index]
 
 

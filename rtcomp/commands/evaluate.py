@@ -62,7 +62,8 @@ def command(
 
     models = {path.stem: load_model(path) for path in files if path.suffix == ".json"}
     reading: dict[str, Any] = {
-        "columns": columns, "static": static, "drop_nan": drop_nan, "signal_map": signal_map, "dbc": dbc, "channel": channel,
+        "columns": columns, "static": static, "drop_nan": drop_nan,
+        "signal_map": signal_map, "dbc": dbc, "channel": channel,
     }  # fmt: skip
     recordings = load(_recordings(files), **reading)
     trained_on = load(baselines_from, **reading)

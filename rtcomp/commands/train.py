@@ -22,7 +22,8 @@ from rtcomp.errors import RequestError
     default="gk-rls-refined",
     show_default=True,
     type=click.Choice(["gk-rls-refined", "gk-rls", "physics-informed", "dynamic"]),
-    help="gk-rls: the paper's algorithm; gk-rls-refined: then refined jointly; physics-informed: open-loop sine, rules on what it leaves; dynamic: rules and a thermal lag.",
+    help="gk-rls: the paper's; gk-rls-refined: then refined jointly; physics-informed: open-loop sine, rules on what "
+    "it leaves; dynamic: rules and a thermal lag.",
 )
 @click.option(
     "--rules",
@@ -31,7 +32,8 @@ from rtcomp.errors import RequestError
 )
 @click.option(
     "--inputs",
-    help="Inputs of the rules, by commas: temp_degC, rate_dps, coil_temp_degC, lag_temp_degC, temp_rate_degC_per_s, time_since_power_on_s.  [default: temp_degC,rate_dps]",
+    help="Inputs of the rules, by commas: temp_degC, rate_dps, coil_temp_degC, lag_temp_degC, "
+    "temp_rate_degC_per_s, time_since_power_on_s.  [default: temp_degC,rate_dps]",
 )
 @click.option(
     "--lag",

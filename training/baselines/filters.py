@@ -20,7 +20,7 @@ def five_point_cubic(rate_dps: np.ndarray) -> np.ndarray:
     """Five-point cubic smoothing: a cubic through every five samples (Savitzky-Golay); time is the last axis."""
     if rate_dps.shape[-1] < 5:
         return np.array(rate_dps)
-    return savgol_filter(rate_dps, window_length=5, polyorder=3, axis=-1)
+    return np.asarray(savgol_filter(rate_dps, window_length=5, polyorder=3, axis=-1))
 
 
 def wavelet(rate_dps: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Back-propagation network 2-h-1, trained by Levenberg-Marquardt: scikit-learn's optimisers stop 5× above its floor."""
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator, RegressorMixin
@@ -24,7 +26,7 @@ class BackPropagationNetwork(RegressorMixin, BaseEstimator):
         self.weights_ = min(ends, key=lambda end: end.cost).x
         return self
 
-    def _train(self, X: np.ndarray, y: np.ndarray, start: np.ndarray):  # noqa: ANN202
+    def _train(self, X: np.ndarray, y: np.ndarray, start: np.ndarray) -> Any:
         return least_squares(
             lambda p: self._forward(p, X)[0] - y,
             start,

@@ -31,7 +31,9 @@ class Surface:
     make: Callable[[int], Any]
     largest: int | None = None  # rows beyond which a random sample is taken, with a warning
 
-    def fit(self, inputs: np.ndarray, error_dps: np.ndarray, seed: int = 0) -> Callable[[np.ndarray], np.ndarray]:
+    def fit(
+        self, inputs: np.ndarray, error_dps: np.ndarray, seed: int = 0
+    ) -> Callable[[np.ndarray], np.ndarray]:
         """Train on `inputs`, shape `(n_samples, 2)`; returns the function that predicts the error [°/s]."""
         if self.largest and len(inputs) > self.largest:
             log.warning("%s: trained on %d of %d rows drawn at random", self.what, self.largest, len(inputs))
@@ -49,7 +51,9 @@ def _bilinear(seed: int) -> Any:
 
 
 def _cubic_temperature(seed: int) -> Any:
-    columns = ColumnTransformer([("temperature", make_pipeline(StandardScaler(), PolynomialFeatures(3)), [0])])
+    columns = ColumnTransformer(
+        [("temperature", make_pipeline(StandardScaler(), PolynomialFeatures(3)), [0])]
+    )
     return make_pipeline(columns, LinearRegression())
 
 
@@ -64,7 +68,9 @@ def _network(seed: int) -> Any:
 def _lookup_table(seed: int) -> Any:
     """Hat functions on a grid (bilinear between its nodes, held outside), node values by least squares."""
     hats = SplineTransformer(n_knots=9, degree=1, extrapolation="constant")
-    return make_pipeline(StandardScaler(), hats, FunctionTransformer(_products), Ridge(1e-3, fit_intercept=False))
+    return make_pipeline(
+        StandardScaler(), hats, FunctionTransformer(_products), Ridge(1e-3, fit_intercept=False)
+    )
 
 
 def _products(hats: np.ndarray) -> np.ndarray:
@@ -73,7 +79,7 @@ def _products(hats: np.ndarray) -> np.ndarray:
 
 
 def _boosted_trees(seed: int) -> Any:
-    return HistGradientBoostingRegressor(max_iter=300, min_samples_leaf=5, early_stopping=False, random_state=seed)
+    return HistGradientBoostingRegressor(max_iter=300, min_samples_leaf=5, random_state=seed)
 
 
 class SearchedGaussianProcess(GaussianProcessRegressor):
@@ -81,10 +87,9 @@ class SearchedGaussianProcess(GaussianProcessRegressor):
 
     def fit(self, X: np.ndarray, y: np.ndarray) -> "SearchedGaussianProcess":
         """Fit to standardised inputs `X`, shape `(n_samples, n_inputs)`."""
-        if len(X) > SEARCH_ROWS:
-            rows = np.random.default_rng(self.random_state).choice(len(X), SEARCH_ROWS, replace=False)
-            searched = SearchedGaussianProcess(self.kernel, normalize_y=True, optimizer=_search).fit(X[rows], y[rows])
-            self.kernel, self.optimizer = searched.kernel_, None
+        rows = np.random.default_rng(self.random_state).permutation(len(X))[:SEARCH_ROWS]
+        search = GaussianProcessRegressor(self.kernel, normalize_y=True).set_params(optimizer=_search)
+        self.set_params(kernel=search.fit(X[rows], y[rows]).kernel_, optimizer=None)
         super().fit(X, y)
         return self
 
@@ -101,8 +106,10 @@ def _search(objective: Callable, theta: np.ndarray, bounds: np.ndarray) -> tuple
 
 
 def _gaussian_process(seed: int) -> Any:
-    kernel = ConstantKernel(1e2, (1e-4, 1e8)) * RBF([2.0, 2.0], (1e-2, 1e3)) + WhiteKernel(1e-4, (1e-9, 1e1))
-    process = SearchedGaussianProcess(kernel, normalize_y=True, optimizer=_search, random_state=seed)
+    kernel = ConstantKernel(1e2, (1e-4, 1e8)) * RBF(1.0, (1e-2, 1e3)).set_params(
+        length_scale=[2.0, 2.0]
+    ) + WhiteKernel(1e-4, (1e-9, 1e1))
+    process = SearchedGaussianProcess(kernel, normalize_y=True, random_state=seed)
     return make_pipeline(StandardScaler(), process)
 
 
@@ -111,7 +118,9 @@ SURFACES: dict[str, Surface] = {
     "linear_bilinear": Surface("a + bT + cm + dTm (scikit-learn)", _bilinear),
     "lssvm": Surface("LS-SVM, γ = 80, σ² = 6", _lssvm, KERNEL_ROWS),
     "bp_neural": Surface("BP network 2-4-1, Levenberg-Marquardt (scipy)", _network, 20_000),
-    "cubic_temperature": Surface("cubic in T alone, as PX4 and ArduPilot do (scikit-learn)", _cubic_temperature),
+    "cubic_temperature": Surface(
+        "cubic in T alone, as PX4 and ArduPilot do (scikit-learn)", _cubic_temperature
+    ),
     "lookup_table": Surface("bilinear look-up table, 9 × 9 nodes (scikit-learn)", _lookup_table, 200_000),
     "boosted_trees": Surface("gradient-boosted trees (scikit-learn)", _boosted_trees),
     "gaussian_process": Surface("Gaussian process, RBF (scikit-learn)", _gaussian_process, KERNEL_ROWS),
