@@ -20,6 +20,7 @@ from training.diagnose.naming import (
 )
 from training.diagnose.search import Candidate, Null
 
+PREFER = 2.0
 BIAS, SCALE, HEADING = "bias", "scale", "heading"
 FAMILY = {
     **dict.fromkeys(("bias_temperature", "shupe", "bias_hysteresis", "polarization_ripple", "compensation_table",
@@ -74,13 +75,34 @@ def with_classes(library: Library, domains: Sequence[Domain], null: Null, model:
         close = {}
         mine = found[part.effect].excess if part.effect in found else 0.0
         for effect, candidate in found.items():
-            if effect in taken or candidate.excess < mine - 3.0 * allowed - 0.5 * mine:
+            if effect in taken or _contains(part, candidate) or candidate.excess < mine - 3.0 * allowed - 0.5 * mine:
                 continue
             cost = reference - _rival_score(library, domains, null, without, candidate, len(part.points))
             if cost < allowed:
                 close[effect] = cost
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
     return Model(parts, model.frame, model.fit)
+
+
+def _contains(part: Part, rival: Candidate) -> bool:
+    """Whether the rival merely carries the part's own column along (a hysteresis with its static slope)."""
+    return part.effect in ("bias_temperature", "scale_temperature") and rival.variant.parameters.get("with_static", 0.0) > 0.0
+
+
+def preferred(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
+    """The model with classes, every part replaced by a member of its class that scores clearly better in its place."""
+    model = with_classes(library, domains, null, model)
+    for i, part in enumerate(model.parts):
+        better = min(part.alternatives.items(), key=lambda item: item[1], default=None)
+        if better is None or better[1] > -PREFER:
+            continue
+        rest = [p for j, p in enumerate(model.parts) if j != i]
+        without = build(rest, domains, model.fit.weights)
+        candidate = residual_scan(library, without, null)[better[0]]
+        parts = [*rest, Part(candidate.variant.group, [candidate.variant.parameters], part.p_value)]
+        parts = refine(parts, len(parts) - 1, domains, without.fit.weights)
+        return with_classes(library, domains, null, build(parts, domains, without.fit.weights))
+    return model
 
 
 def _rival_score(library: Library, domains: Sequence[Domain], null: Null, without: Model, candidate: Candidate, points: int) -> float:

@@ -160,6 +160,7 @@ class Library:
 
     def __init__(self, domains: Sequence[Domain], groups: Sequence[Group], survey: object):
         self.domains = list(domains)
+        self.groups = list(groups)
         self.variants = _variants(groups, survey)
         self.starts = np.asarray([v.first for v in self.variants], dtype=np.int64)
         self.widths = np.asarray([v.width for v in self.variants], dtype=np.int64)

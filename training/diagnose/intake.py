@@ -75,6 +75,7 @@ def take_in(recording: Recording, checked: Checked, simulation: Simulation, sett
     work = prepare(
         recording.name, columns, left, np.zeros_like(left), found.moved, valid, power_on_known=settings.power_on_known
     )
+    work.rate_noise_dps = ref.left_dps
     return Intake(recording, checked, residual, simulated, ref, found, fast, work)
 
 

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 Parameters = dict[str, float]
 PPM = 1e-6
 ROOM_DEGC = 25.0
+CLEAR_OF_NOISE = 12.0  # a bend of the rate must be this much wider than the reference's own noise
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Survey:
     has: frozenset[str]
     points: bool
     recordings: int = 1
+    rate_noise_dps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,8 @@ DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
 
 
 def _dead_grid(survey: Survey) -> list[Parameters]:
-    widths = np.geomspace(max(1e-3, 2e-5 * survey.rate_max), min(3.0, 0.1 * survey.rate_max), 14)
+    low, high = max(1e-3, 2e-5 * survey.rate_max, CLEAR_OF_NOISE * survey.rate_noise_dps), min(3.0, 0.1 * survey.rate_max)
+    widths = np.geomspace(low, high, 14) if low < 0.5 * high else []
     return [{"lock_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
 
 
@@ -189,7 +192,8 @@ def _dead_band(work: Work, p: Parameters) -> list[FloatArray]:
 
 
 def _knees(survey: Survey) -> list[Parameters]:
-    return [{"limit_dps": knee} for knee in survey.rate_quantiles]
+    top = survey.rate_max * (1.0 - 1e-4) - CLEAR_OF_NOISE * survey.rate_noise_dps
+    return [{"limit_dps": knee} for knee in survey.rate_quantiles if knee < top]
 
 
 def _clip(work: Work, p: Parameters) -> list[FloatArray]:
@@ -233,8 +237,8 @@ def _decay(work: Work, p: Parameters) -> FloatArray:
 
 
 def _changes(survey: Survey) -> list[Parameters]:
-    shares = np.linspace(0.03, 0.97, 63 if survey.recordings == 1 else 33)
-    return [{"at_share": float(s), "recording": float(r)} for r in range(min(survey.recordings, 12)) for s in shares]
+    """Instants are searched sample by sample (`training.diagnose.steps`), not on a grid."""
+    return []
 
 
 def _after(work: Work, p: Parameters) -> FloatArray:

@@ -110,8 +110,10 @@ def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: Fl
                  for n, v in zip(names, x, strict=True)}
         return {**start, **moved}
 
+    reach = 0.25 if {"lock_dps", "limit_dps"} & set(names) else 0.7
+
     def cost(x: FloatArray) -> float:
-        if np.max(np.abs(x)) > 0.7:
+        if np.max(np.abs(x)) > reach or point(x).get("limit_dps", 0.0) > 1.02 * max(start.get("limit_dps", 0.0), 0.0):
             return 1e12
         extra = [d.work.transform(np.stack(part.group.columns(d.work, point(x)), axis=1)) for d in domains]
         return -frame.fit(frame.grams(extra=extra), weights, rounds=3, inner=6).loglik

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtcomp.errors import RequestError
-from training.diagnose.classes import demoted, with_classes
+from training.diagnose.classes import demoted, preferred
 from training.diagnose.design import Domain, Frame, Library, domain
 from training.diagnose.generic import generic_groups
 from training.diagnose.intake import Intake, checked_recording, take_in
@@ -97,7 +97,7 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     progress("name")
     model = forward(library, domains, null)
     model, analysis.demoted = demoted(model, domains)
-    analysis.model = with_classes(library, domains, null, model)
+    analysis.model = preferred(library, domains, null, model)
     analysis.model, analysis.unknown = unexplained(generic, domains, analysis.model, generic_null, analysis.demoted)
 
 

@@ -129,5 +129,5 @@ def survey(works: list[Work]) -> Survey:
         temp_low=float(temps.min()), temp_high=float(temps.max()), rate_max=float(rates.max()),
         rate_quantiles=tuple(float(k) for k in np.unique(knees)),
         start_s=min(float(w.t[0]) for w in works), has=frozenset(has), points=works[0].points,
-        recordings=len(works),
+        recordings=len(works), rate_noise_dps=max(w.rate_noise_dps for w in works),
     )

@@ -18,10 +18,14 @@ MIN_NOISY = 0.25
 
 @dataclass(frozen=True)
 class Reference:
-    """Smoothed true rate [dps] on the recording's rows, its white-noise deviation, and a spline through it."""
+    """Smoothed true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
+
+    `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it.
+    """
 
     rate: FloatArray
     noise_dps: float
+    left_dps: float
     spline: interpolate.CubicSpline
 
     def moved(self, t: FloatArray, delay_s: FloatArray | float) -> FloatArray:
@@ -32,8 +36,8 @@ class Reference:
 def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference:
     """Smooth a reference `(n,)` on times `(n,)` by what the residual `(n,)` says of its noise."""
     noise = _shared_noise(ref, residual)
-    rate = _wiener(ref, noise) if noise > 0.0 else ref
-    return Reference(rate, float(np.sqrt(noise)), interpolate.CubicSpline(t, rate))
+    rate, passed = _wiener(ref, noise) if noise > 0.0 else (ref, 1.0)
+    return Reference(rate, float(np.sqrt(noise)), float(np.sqrt(noise * passed)), interpolate.CubicSpline(t, rate))
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
@@ -49,9 +53,11 @@ def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
     return shared if variance > 0.0 and shared > MIN_NOISY * variance and shared > 4.0 * sigma else 0.0
 
 
-def _wiener(ref: FloatArray, noise: float) -> FloatArray:
+def _wiener(ref: FloatArray, noise: float) -> tuple[FloatArray, float]:
+    """(smoothed reference, share of the white noise's power that is left)."""
     line = np.linspace(ref[0], ref[-1], len(ref))
     spectrum = fft.dct(ref - line, norm="ortho")
     width = max(5, len(ref) // 2000)
     power = ndimage.uniform_filter1d(spectrum**2, width, mode="nearest")
-    return line + fft.idct(spectrum * np.clip(1.0 - 1.5 * noise / np.maximum(power, 1e-300), 0.0, 1.0), norm="ortho")
+    gain = np.clip(1.0 - 1.5 * noise / np.maximum(power, 1e-300), 0.0, 1.0)
+    return line + fft.idct(spectrum * gain, norm="ortho"), float(np.mean(gain**2))

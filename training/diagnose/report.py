@@ -1,2 +1,51 @@
-def report_html(analysis, diagnosis):
-    return "<html><body>"+diagnosis.sentence+"</body></html>"
+"""The report for a person: one HTML file with its pictures inside, escaped by the template engine."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from training.diagnose import pictures
+from training.diagnose.document import Diagnosis
+from training.diagnose.pipeline import Analysis
+from training.effects.catalogue import catalogue
+
+TEMPLATE = Path(__file__).parent / "report.html.j2"
+VERDICT_WORDS: Mapping[str, str] = {
+    "named": "Named", "ambiguous": "Ambiguous: a class of effects", "unknown": "Unknown physics",
+    "nothing_missing": "Nothing is missing", "not_excited": "Not excited", "bad_recording": "Bad recording",
+}
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for people: four significant digits."""
+    return "–" if value is None else f"{value:.{digits}g}"
+
+
+def probability(value: float) -> str:
+    """A p-value for people; what is too small to mean anything is not printed as if it did."""
+    return "< 1e-12" if value < 1e-12 else f"{value:.1g}"
+
+
+def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
+    """Render the report of one diagnosis."""
+    import jinja2
+
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"number": number, "probability": probability}
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        d=diagnosis, verdict=VERDICT_WORDS[diagnosis.verdict], regimes=pictures.regime_text(diagnosis.findings),
+        catalogue=catalogue(), pictures=_pictures(analysis, diagnosis), simulation=analysis.simulation.kind,
+        step_s=analysis.intakes[0].work.step_s if analysis.intakes else None,
+    )
+
+
+def _pictures(analysis: Analysis, diagnosis: Diagnosis) -> dict[str, Any]:
+    if not analysis.intakes or analysis.model is None:
+        return {"time": None, "drivers": None, "allan": None, "heldout": None}
+    return {
+        "time": pictures.time_strips(analysis, diagnosis),
+        "drivers": pictures.driver_plots(analysis, diagnosis),
+        "allan": pictures.allan_plot(analysis),
+        "heldout": pictures.heldout_plot(analysis),
+    }

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.diagnose.design import Domain, Fit, Frame, Library, Variant
+from training.diagnose.steps import Stepper, steppers
 from training.diagnose.work import FloatArray
 
 SURROGATES = 48
@@ -54,11 +55,22 @@ def statistics(library: Library, gains: FloatArray) -> dict[str, Candidate]:
     return best
 
 
+def change_points(searches: Sequence[Stepper], frame: Frame, fit: Fit, column: int) -> dict[str, Candidate]:
+    """The best step in bias and in scale factor."""
+    found = {}
+    for search in searches:
+        best = search.best(frame, fit, column)
+        if best is not None:
+            found[search.group.effect] = Candidate(Variant(search.group, best[0], -1, 1), -1, best[1])
+    return found
+
+
 def scan(library: Library, frame: Frame, fit: Fit, null: Null | None) -> dict[str, Candidate]:
     """All groups against the current frame; `excess` is the statistic beyond what noise gives that group."""
     cross = library.cross(frame.base)
     target = library.cross(frame.targets)[:, :, 0]
     best = statistics(library, 2.0 * (library.scan(frame, fit, 0, cross, target) - fit.loglik))
+    best |= change_points(steppers(library.groups, library.domains), frame, fit, 0)
     if null is not None:
         for effect, candidate in best.items():
             candidate.excess = candidate.statistic - null.mean[effect]
@@ -75,11 +87,13 @@ def surrogate_null(
     frame.targets = targets
     cross = library.cross(frame.base)
     projected = library.cross(targets)
+    searches = steppers(library.groups, domains)
     table = []
     for column in range(count):
         null_fit = frame.fit(frame.grams(column), fit.weights)
         gains = 2.0 * (library.scan(frame, null_fit, column, cross, projected[:, :, column]) - null_fit.loglik)
-        table.append({effect: c.statistic for effect, c in statistics(library, gains).items()})
+        best = statistics(library, gains) | change_points(searches, frame, null_fit, column)
+        table.append({effect: c.statistic for effect, c in best.items()})
     mean = {effect: float(np.mean([row[effect] for row in table])) for effect in table[0]}
     maxima = np.asarray([max(row[e] - mean[e] for e in row) for row in table])
     width = max(float(np.std(maxima, ddof=1)) * np.sqrt(6.0) / np.pi, 1.0)

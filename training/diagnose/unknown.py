@@ -14,6 +14,8 @@ from training.diagnose.search import Null, surrogate_null
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
 REMAINDER_ALPHA = 1e-3
+TIME_WEIGHT = 0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
+TIME_LIKE = frozenset({"time", "rate_times_time"})
 RATE_DRIVERS = frozenset({
     "rate", "rate_times_temperature", "rate_times_temperature_rate", "rate_times_time", "rate_times_heading",
 })
@@ -46,7 +48,7 @@ def locate(generic: Library, domains: Sequence[Domain], base: Model, seed: int) 
     null = surrogate_null(generic, domains, base.fit, seed, count=GENERIC_SURROGATES)
     found = residual_scan(generic, base, null)
     rows = [Located(d, max(c.statistic, 0.0), c.excess, null.p_value(c.excess)) for d, c in found.items()]
-    return sorted(rows, key=lambda row: -row.excess), null
+    return sorted(rows, key=lambda row: -row.excess * (TIME_WEIGHT if row.driver in TIME_LIKE else 1.0)), null
 
 
 def unexplained(

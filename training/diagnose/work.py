@@ -40,6 +40,7 @@ class Work:
     spread: FloatArray = field(default_factory=lambda: np.ones(1))
     clusters: NDArray[np.int64] | None = None
     index: int = 0
+    rate_noise_dps: float = 0.0
 
     def __len__(self) -> int:
         return len(self.y)
