@@ -32,7 +32,6 @@ class Compiled(NamedTuple):
     base_kind: np.ndarray  # int64 (groups)
     base: np.ndarray  # float64 (groups, PARAMETERS)
     validity: np.ndarray  # float64 (groups, N_INPUTS, 2)
-    limits: np.ndarray  # int64 (groups, N_INPUTS): inputs that have limits, −1 behind the last
     filter_tau_s: np.ndarray  # float64 (groups, 2): of TEMP_RATE and LAG_TEMP
     term_kind: np.ndarray  # int64 (terms)
     term_group: np.ndarray  # int64 (terms)
@@ -68,7 +67,6 @@ def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
         np.array([kind for kind, _ in bases], np.int64),
         _rows([row for _, row in bases], PARAMETERS, 0.0),
         _validity(models),
-        _limits(models),
         _filters(models),
         np.array([kind for kind, _, _ in terms], np.int64),
         np.array([g for _, g, _ in terms], np.int64),
@@ -136,13 +134,6 @@ def _validity(models: Sequence[Model]) -> np.ndarray:
         for name, pair in model.validity.items():
             limits[g, INPUTS.index(name)] = pair
     return limits
-
-
-def _limits(models: Sequence[Model]) -> np.ndarray:
-    limited = np.full((len(models), N_INPUTS), -1, np.int64)
-    for g, model in enumerate(models):
-        limited[g, : len(model.validity)] = [INPUTS.index(name) for name in model.validity]
-    return limited
 
 
 def _filters(models: Sequence[Model]) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcomp.decode import FLOAT16, FLOAT32, FLOAT64, SIGNAL, SIGNED, UNSIGNED
+from rtcomp.decode import FLOAT16, FLOAT32, FLOAT64, PAYLOAD, SIGNAL, SIGNED, UNSIGNED, WORD
 from rtcomp.errors import RequestError
 
 FLOATS = {16: FLOAT16, 32: FLOAT32, 64: FLOAT64}
@@ -126,12 +126,17 @@ def layout(signal: Any) -> dict[str, Any]:
     else:  # DBC counts from the most significant bit; the lowest is `length − 1` further in reading order
         lowest = signal.start // 8 * 8 + (7 - signal.start % 8) + signal.length - 1
         byte, shift, step = lowest // 8, 7 - lowest % 8, -1
+    span = (shift + signal.length + 7) // 8
+    first = byte if step > 0 else byte - span + 1
+    one_word = first // WORD == (first + span - 1) // WORD
     kind = FLOATS[signal.length] if signal.conversion.is_float else (SIGNED if signal.is_signed else UNSIGNED)
     return {
         "byte": byte,
         "step": step,
         "shift": shift,
         "bits": signal.length,
+        "word": (PAYLOAD + first) // WORD if one_word else -1,
+        "word_shift": 8 * (first % WORD if step > 0 else WORD - 1 - byte % WORD) + shift,
         "kind": kind,
         "exact": 0 if signal.conversion.is_float else _exactness(signal.length, scale, offset),
         "scale": float(scale),

@@ -6,9 +6,15 @@ Any signal of 1…64 bits in 64 bytes: its lowest bit lies in byte `byte` at `sh
 
 import numpy as np
 
+from rtcomp.frames import FRAME
 from rtcomp.jit import hot_kernel
 
 UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
+
+ALL = np.uint64(2**64 - 1)
+PAIRS = np.uint64(0x00FF00FF00FF00FF)
+QUADS = np.uint64(0x0000FFFF0000FFFF)
+WORD, PAYLOAD = 8, 16  # bytes of a word; where the payload begins in a FRAME
 
 SIGNAL = np.dtype(
     [
@@ -17,6 +23,8 @@ SIGNAL = np.dtype(
         ("step", "<i4"),
         ("shift", "<i4"),
         ("bits", "<i4"),
+        ("word", "<i4"),  # which 8-byte word of the record holds all of it, −1: it crosses two
+        ("word_shift", "<i4"),  # where its lowest bit is there (in the reversed word for step −1)
         ("kind", "<i4"),
         ("exact", "<i4"),  # 1: the scale is an integer and no product leaves 63 bits; 2: so is the offset
         ("multiplexer", "<i4"),  # index of the signal that selects this one, −1: always there
@@ -33,9 +41,37 @@ SIGNAL = np.dtype(
 """One signal, ready for `raw_value` and `physical_value`."""
 
 
+def frame_words(frames: np.ndarray) -> np.ndarray:
+    """Frames, shape (n,) of FRAME, as 8-byte words, shape (n, 10), without a copy."""
+    return frames.view(np.uint64).reshape(len(frames), FRAME.itemsize // WORD)
+
+
 @hot_kernel
-def raw_value(data, row, signal):
-    """The unsigned raw value of `signal` in payload `data[row]` (array (n, 64) of uint8)."""
+def reversed_bytes(word):
+    """The word with its bytes in the other order."""
+    word = ((word >> np.uint64(8)) & PAIRS) | ((word & PAIRS) << np.uint64(8))
+    word = ((word >> np.uint64(16)) & QUADS) | ((word & QUADS) << np.uint64(16))
+    return (word >> np.uint64(32)) | (word << np.uint64(32))
+
+
+@hot_kernel
+def raw_value(words, data, row, signal):
+    """The unsigned raw value of `signal` in frame `row`.
+
+    `words` and `data` are two views of the frames: records as 8-byte words (n, 10), payloads as bytes (n, 64).
+    """
+    if signal["word"] >= 0:
+        word = words[row, signal["word"]]
+        if signal["step"] < 0:
+            word = reversed_bytes(word)
+        word >>= np.uint64(signal["word_shift"])
+        return word & (ALL >> np.uint64(64 - signal["bits"]))
+    return raw_value_across(data, row, signal)
+
+
+@hot_kernel
+def raw_value_across(data, row, signal):
+    """The same byte by byte, for a signal anywhere in the payload `data[row]` (array (n, 64) of uint8)."""
     byte, step, shift, bits = signal["byte"], signal["step"], signal["shift"], signal["bits"]
     raw = np.uint64(data[row, byte]) >> np.uint64(shift)
     got = 8 - shift
@@ -96,11 +132,11 @@ def scaled_value(raw, signal, scratch):
 
 
 @hot_kernel
-def is_selected(data, row, signals, index, mux_ranges):
+def is_selected(words, data, row, signals, index, mux_ranges):
     """Whether signal `index` is there in this payload: every multiplexer above it has a value that selects it."""
     while signals[index]["multiplexer"] >= 0:
         selector = signals[index]["multiplexer"]
-        raw = raw_value(data, row, signals[selector])
+        raw = raw_value(words, data, row, signals[selector])
         start = signals[index]["mux_start"]
         hit = False
         for k in range(start, start + signals[index]["mux_count"]):
@@ -122,12 +158,12 @@ def is_available(raw, signal, na_ranges):
 
 
 @hot_kernel
-def physical_value(data, row, signals, index, mux_ranges, na_ranges, scratch):
+def physical_value(words, data, row, signals, index, mux_ranges, na_ranges, scratch):
     """The value in our units, NaN when it is not there, not available or not finite."""
     signal = signals[index]
-    if signal["multiplexer"] >= 0 and not is_selected(data, row, signals, index, mux_ranges):
+    if signal["multiplexer"] >= 0 and not is_selected(words, data, row, signals, index, mux_ranges):
         return np.nan
-    raw = raw_value(data, row, signal)
+    raw = raw_value(words, data, row, signal)
     if signal["na_count"] > 0 and not is_available(raw, signal, na_ranges):
         return np.nan
     value = scaled_value(raw, signal, scratch) * signal["factor"] + signal["shift_unit"]

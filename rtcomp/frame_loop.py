@@ -86,7 +86,7 @@ def new_loop_state(plan: Plan) -> LoopState:
 
 
 @kernel
-def run_loop(plan, c, s, loop, frames, start, out, out_channel):
+def run_loop(plan, c, s, loop, frames, words, start, out, out_channel):
     """Take frames from `start` on until all are taken or `out` could overflow.
 
     Returns the index of the first frame not taken and the number of samples written to `out`.
@@ -95,13 +95,13 @@ def run_loop(plan, c, s, loop, frames, start, out, out_channel):
     room = out.shape[0] - plan.channels.shape[0]
     i = start
     while i < frames.shape[0] and written <= room:
-        written = take_frame(plan, c, s, loop, frames, i, out, out_channel, written)
+        written = take_frame(plan, c, s, loop, frames, words, i, out, out_channel, written)
         i += 1
     return i, written
 
 
 @hot_kernel
-def take_frame(plan, c, s, loop, frames, i, out, out_channel, written):
+def take_frame(plan, c, s, loop, frames, words, i, out, out_channel, written):
     """One frame; returns how many samples are in `out` after it."""
     flags = frames[i]["flags"]
     if flags & ERROR:
@@ -112,14 +112,14 @@ def take_frame(plan, c, s, loop, frames, i, out, out_channel, written):
     if m == IGNORED:
         loop.totals[IGNORED_FRAMES] += 1
         return written
-    cause = ID_KIND if m < 0 else check_frame(plan, loop, frames, i, m)
+    cause = ID_KIND if m < 0 else check_frame(plan, loop, frames, words, i, m)
     if m < 0:
         m = -3 - m
     if cause != GOOD:
         loop.rejected[cause] += 1
         mark_message(plan, loop, m, BAD_BEFORE)
         return written
-    return take_message(plan, c, s, loop, frames, i, m, out, out_channel, written)
+    return take_message(plan, c, s, loop, frames, words, i, m, out, out_channel, written)
 
 
 @hot_kernel
@@ -173,7 +173,7 @@ def find_message(plan, can_id, extended):
 
 
 @hot_kernel
-def check_frame(plan, loop, frames, i, m):
+def check_frame(plan, loop, frames, words, i, m):
     """GOOD, or the cause for which the frame is rejected."""
     if frames[i]["flags"] & REMOTE:
         return REMOTE_FRAME
@@ -186,7 +186,7 @@ def check_frame(plan, loop, frames, i, m):
         return CRC
     if plan.messages[m]["counter"] < 0:
         return GOOD
-    return check_counter(plan, loop, frames, i, m)
+    return check_counter(plan, loop, frames, words, i, m)
 
 
 @hot_kernel
@@ -201,9 +201,9 @@ def is_protected(plan, frames, i, m):
 
 
 @hot_kernel
-def check_counter(plan, loop, frames, i, m):
+def check_counter(plan, loop, frames, words, i, m):
     """The counter must advance by 1…max_step, and by one more for every frame rejected since."""
-    counter = np.int64(payload_raw(frames, i, plan.signals[plan.messages[m]["counter"]]))
+    counter = np.int64(payload_raw(frames, words, i, plan.signals[plan.messages[m]["counter"]]))
     last = loop.counters[m, 0]
     allowed = plan.messages[m]["max_step"] + loop.counters[m, 1]
     loop.counters[m, 0] = counter
@@ -218,20 +218,21 @@ def check_counter(plan, loop, frames, i, m):
 
 
 @hot_kernel
-def payload_raw(frames, i, signal):
+def payload_raw(frames, words, i, signal):
     """Raw value of a signal in frame i."""
-    return raw_value(frames["data"], i, signal)
+    return raw_value(words, frames["data"], i, signal)
 
 
 @hot_kernel
-def take_message(plan, c, s, loop, frames, i, m, out, out_channel, written):
+def take_message(plan, c, s, loop, frames, words, i, m, out, out_channel, written):
     """Hand every signal of a good frame to its channel: temperatures first, then references, then rates."""
     t_ns = frames[i]["t_ns"]
     first = plan.messages[m]["first_use"]
     for k in range(first, first + plan.messages[m]["uses"]):
         ch, role = plan.uses[k]["channel"], plan.uses[k]["role"]
+        index, payloads = plan.uses[k]["signal"], frames["data"]
         value = physical_value(
-            frames["data"], i, plan.signals, plan.uses[k]["signal"], plan.mux_ranges, plan.na_ranges, plan.scratch
+            words, payloads, i, plan.signals, index, plan.mux_ranges, plan.na_ranges, plan.scratch
         )
         if role == RATE:
             if np.isnan(value):
@@ -239,7 +240,7 @@ def take_message(plan, c, s, loop, frames, i, m, out, out_channel, written):
                 loop.marks[ch] |= BAD_BEFORE
                 continue
             out_channel[written] = ch
-            put_sample(plan, c, s, loop, frames, i, ch, t_ns, value, out, written)
+            put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, value, out, written)
             written += 1
         elif not np.isnan(value):
             take_slow(c, s, loop, ch, role, t_ns, value)
@@ -258,7 +259,7 @@ def take_slow(c, s, loop, ch, role, t_ns, value):
 
 
 @hot_kernel
-def put_sample(plan, c, s, loop, frames, i, ch, t_ns, rate, out, row):
+def put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, rate, out, row):
     """Write one corrected sample, with the truth about it."""
     flags = loop.marks[ch]
     loop.marks[ch] = 0
@@ -271,7 +272,7 @@ def put_sample(plan, c, s, loop, frames, i, ch, t_ns, rate, out, row):
             flags |= GAP
     if abs(rate) >= plan.channels[ch]["range_dps"]:
         flags |= SATURATED
-    if plan.channels[ch]["valid"] >= 0 and not is_ok(plan, frames, i, ch):
+    if plan.channels[ch]["valid"] >= 0 and not is_ok(plan, frames, words, i, ch):
         flags |= FAULT
     flags |= temperature_flags(plan, c, loop, ch, t_ns)
     correction = 0.0
@@ -315,9 +316,9 @@ def count_flags(loop, flags):
 
 
 @hot_kernel
-def is_ok(plan, frames, i, ch):
+def is_ok(plan, frames, words, i, ch):
     """Whether the sensor's own status is one of the good ones."""
-    raw = payload_raw(frames, i, plan.signals[plan.channels[ch]["valid"]])
+    raw = payload_raw(frames, words, i, plan.signals[plan.channels[ch]["valid"]])
     start = plan.channels[ch]["ok_start"]
     good = False
     for k in range(start, start + plan.channels[ch]["ok_count"]):

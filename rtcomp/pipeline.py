@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rtcomp.compiled import Compiled, compile_models
+from rtcomp.decode import frame_words
 from rtcomp.errors import RequestError
 from rtcomp.frame_loop import CAUSES, LOST_FRAMES, TOTALS, LoopState, new_loop_state, run_loop
 from rtcomp.frames import CORRECTED, Flag
@@ -67,11 +68,13 @@ class Pipeline:
 
     def process(self, frames: np.ndarray) -> Iterator[Samples]:
         """Take in frames; yields samples in pieces of bounded size, each valid until the next is asked for."""
+        frames = np.ascontiguousarray(frames)
+        words = frame_words(frames)
         out, channel = self._out, self._channel
         done = 0
         while done < len(frames):
             done, count = run_loop(
-                self.map.plan, self.compiled, self.state, self.loop, frames, done, out, channel
+                self.map.plan, self.compiled, self.state, self.loop, frames, words, done, out, channel
             )
             if count:
                 yield Samples(out[:count], channel[:count])

@@ -14,14 +14,12 @@ import numpy as np
 from rtcomp.compiled import (
     COIL,
     LAG_TEMP,
-    N_INPUTS,
-    POLYNOMIAL,
+    NO_BASE,
     RATE,
     SINE,
     TEMP,
     TEMP_RATE,
     TERM_STATES,
-    TIME,
     Compiled,
 )
 from rtcomp.frames import Flag
@@ -50,6 +48,7 @@ from rtcomp.terms import (
 
 GAP_S = 60.0  # longer without a temperature, and what happened between is no longer known
 DEG = math.pi / 180.0
+UNDERFLOW = 1e-250  # below, quotients of firing strengths lose digits
 EXTRAPOLATING, UNSETTLED = int(Flag.EXTRAPOLATING), int(Flag.UNSETTLED)
 MISSING = int(Flag.TEMPERATURE_MISSING)
 NEVER = np.iinfo(np.int64).min
@@ -66,8 +65,6 @@ class State(NamedTuple):
     times: np.ndarray  # int64 (channels, 3) ns: last temperature, power-on (NEVER: unknown), when settled
     filters: np.ndarray  # float64 (groups, 2, 2): per input filter its state and output
     terms: np.ndarray  # float64 (terms, TERM_STATES): [0] is the thermal column the term multiplies
-    inputs: np.ndarray  # float64 (N_INPUTS): scratch
-    exponents: np.ndarray  # float64 (rules): scratch
 
 
 def new_state(compiled: Compiled) -> State:
@@ -78,8 +75,6 @@ def new_state(compiled: Compiled) -> State:
         np.full((channels, 3), NEVER, np.int64),
         np.zeros((len(compiled.base_kind), 2, 2)),
         np.zeros((len(compiled.term_kind), TERM_STATES)),
-        np.zeros(N_INPUTS),
-        np.zeros(len(compiled.centers)),
     )
 
 
@@ -191,21 +186,16 @@ def predict_error(c, s, ch, t_ns, rate):
         flags |= UNSETTLED
     total = 0.0
     for g in range(c.group_start[ch], c.group_start[ch + 1]):
-        s.inputs[TEMP], s.inputs[RATE], s.inputs[COIL] = (
-            s.values[ch, LAST_TEMP],
-            rate,
-            s.values[ch, LAST_COIL],
-        )
-        s.inputs[TEMP_RATE], s.inputs[LAG_TEMP], s.inputs[TIME] = s.filters[g, 0, 1], s.filters[g, 1, 1], t
-        for limited in range(N_INPUTS):
-            k = c.limits[g, limited]
-            if k < 0:
-                break
-            low, high = c.validity[g, k, 0], c.validity[g, k, 1]
-            if s.inputs[k] < low or s.inputs[k] > high:
-                flags |= EXTRAPOLATING
-                s.inputs[k] = clip(s.inputs[k], low, high)
-        total += base_error(c, s, g) + rules_error(c, s, g)
+        temp, inside = s.values[ch, LAST_TEMP], clip(rate, c.validity[g, RATE, 0], c.validity[g, RATE, 1])
+        warm = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+        if inside != rate or (warm != temp and c.needs[ch, 0]):
+            flags |= EXTRAPOLATING
+        if c.base_kind[g] != NO_BASE:
+            total += base_error(c, g, warm, inside)
+        if c.rule_start[g] != c.rule_start[g + 1]:
+            error, rule_flags = rules_error(c, s, ch, g, warm, inside, t)
+            total += error
+            flags |= rule_flags
     w = rate - total  # the best estimate of the true rate
     for j in range(c.term_start[ch], c.term_start[ch + 1]):
         total += term_error(c, s, ch, j, rate, w, t, timed)
@@ -216,50 +206,88 @@ def predict_error(c, s, ch, t_ns, rate):
 
 
 @hot_kernel
-def base_error(c, s, g):
+def base_error(c, g, temp, rate):
     """The physical surface under the rules of group g."""
     if c.base_kind[g] == SINE:
-        h = s.inputs[TEMP] - c.base[g, 5]
+        h = temp - c.base[g, 5]
         gain = 1.0 + c.base[g, 2] + h * (c.base[g, 3] + h * c.base[g, 4])
-        sine = clip(s.inputs[RATE] * DEG * c.base[g, 0] / gain, -1.0, 1.0)
-        return s.inputs[RATE] - math.asin(sine) / (c.base[g, 0] * (1.0 + c.base[g, 1] * h)) / DEG
-    if c.base_kind[g] == POLYNOMIAL:
-        h = s.inputs[TEMP] - c.base[g, 0]
-        offset, rows, columns = int(c.base[g, 1]), int(c.base[g, 2]), int(c.base[g, 3])
-        total = 0.0
-        for i in range(rows - 1, -1, -1):
-            row = 0.0
-            for j in range(columns - 1, -1, -1):
-                row = row * s.inputs[RATE] + c.table[offset + i * columns + j]
-            total = total * h + row
-        return total
-    return 0.0
+        sine = clip(rate * DEG * c.base[g, 0] / gain, -1.0, 1.0)
+        return rate - math.asin(sine) / (c.base[g, 0] * (1.0 + c.base[g, 1] * h)) / DEG
+    h = temp - c.base[g, 0]
+    offset, rows, columns = int(c.base[g, 1]), int(c.base[g, 2]), int(c.base[g, 3])
+    total = 0.0
+    for i in range(rows - 1, -1, -1):
+        row = 0.0
+        for j in range(columns - 1, -1, -1):
+            row = row * rate + c.table[offset + i * columns + j]
+        total = total * h + row
+    return total
 
 
 @hot_kernel
-def rules_error(c, s, g):
-    """TS output of group g (PAPER eqs. 2, 9-11); the largest exponent is taken out, so far points do not underflow."""
-    start, stop = c.rule_start[g], c.rule_start[g + 1]
-    if start == stop:
-        return 0.0
-    largest = -np.inf
-    for j in range(start, stop):
-        exponent = 0.0
-        for k in range(c.group_size[g]):
-            z = (s.inputs[c.group_inputs[g, k]] - c.centers[j, k]) * c.inverse_widths[j, k]
-            exponent -= 0.5 * z * z
-        s.exponents[j] = exponent
-        largest = max(largest, exponent)
+def input_value(c, s, ch, g, k, temp, rate, t):
+    """Input k of the rules of group g, and whether it had to be clipped; 0 where they take fewer."""
+    which = c.group_inputs[g, k]
+    if which == TEMP:
+        return temp, 0
+    if which == RATE:
+        return rate, 0
+    if which < 0:
+        return 0.0, 0
+    value = t
+    if which == COIL:
+        value = s.values[ch, LAST_COIL]
+    elif which == TEMP_RATE:
+        value = s.filters[g, 0, 1]
+    elif which == LAG_TEMP:
+        value = s.filters[g, 1, 1]
+    inside = clip(value, c.validity[g, which, 0], c.validity[g, which, 1])
+    return inside, (EXTRAPOLATING if inside != value else 0)
+
+
+@hot_kernel
+def exponent(c, g, j, x0, x1, x2, x3):
+    """−½ Σ z² of rule j of group g."""
+    z0 = (x0 - c.centers[j, 0]) * c.inverse_widths[j, 0]
+    z1 = (x1 - c.centers[j, 1]) * c.inverse_widths[j, 1]
+    total = z0 * z0 + z1 * z1  # an input that is not there has an inverse width of 0
+    if c.group_size[g] > 2:
+        z2 = (x2 - c.centers[j, 2]) * c.inverse_widths[j, 2]
+        z3 = (x3 - c.centers[j, 3]) * c.inverse_widths[j, 3]
+        total += z2 * z2 + z3 * z3
+    return -0.5 * total
+
+
+@hot_kernel
+def weighted_outputs(c, g, shift, x0, x1, x2, x3):
+    """Σ w and Σ w·g of group g, firing strengths w scaled by exp(−shift)."""
     weights, weighted = 0.0, 0.0
-    for j in range(start, stop):
-        below = s.exponents[j] - largest
-        firing = 1.0 if below == 0.0 else math.exp(below)
-        output = c.consequents[j, 0]
-        for k in range(c.group_size[g]):
-            output += c.consequents[j, k + 1] * s.inputs[c.group_inputs[g, k]]
+    for j in range(c.rule_start[g], c.rule_start[g + 1]):
+        firing = math.exp(exponent(c, g, j, x0, x1, x2, x3) - shift)
+        output = c.consequents[j, 0] + c.consequents[j, 1] * x0 + c.consequents[j, 2] * x1
+        if c.group_size[g] > 2:
+            output += c.consequents[j, 3] * x2 + c.consequents[j, 4] * x3
         weights += firing
         weighted += firing * output
-    return weighted / weights
+    return weights, weighted
+
+
+@hot_kernel
+def rules_error(c, s, ch, g, temp, rate, t):
+    """TS output of group g (PAPER eqs. 2, 9-11) and its flags."""
+    x0, f0 = input_value(c, s, ch, g, 0, temp, rate, t)
+    x1, f1 = input_value(c, s, ch, g, 1, temp, rate, t)
+    x2, f2, x3, f3 = 0.0, 0, 0.0, 0
+    if c.group_size[g] > 2:
+        x2, f2 = input_value(c, s, ch, g, 2, temp, rate, t)
+        x3, f3 = input_value(c, s, ch, g, 3, temp, rate, t)
+    weights, weighted = weighted_outputs(c, g, 0.0, x0, x1, x2, x3)
+    if weights < UNDERFLOW:  # far from every rule: take the largest exponent out and the nearest one answers
+        largest = -np.inf
+        for j in range(c.rule_start[g], c.rule_start[g + 1]):
+            largest = max(largest, exponent(c, g, j, x0, x1, x2, x3))
+        weights, weighted = weighted_outputs(c, g, largest, x0, x1, x2, x3)
+    return weighted / weights, f0 | f1 | f2 | f3
 
 
 @hot_kernel

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtcomp.dbc import SignalTable, find_signal, load_dbc
-from rtcomp.decode import is_selected, raw_value, scaled_value
+from rtcomp.decode import frame_words, is_selected, raw_value, scaled_value
 from rtcomp.errors import RequestError
+from rtcomp.frames import FRAME
 from rtcomp.jit import kernel
 
 SCALES = st.sampled_from([1, 2, -3, 0.25, 1e-6, 0.01, 0.244, 1000, 1 / 3])
@@ -21,11 +22,11 @@ OFFSETS = st.sampled_from([0, 5, -125, 0.5, -67.67, 4096])
 
 
 @kernel
-def decode_all(data, signals, mux, scratch, values, raws, there):
+def decode_all(words, data, signals, mux, scratch, values, raws, there):
     """Every signal of one payload (data of shape (1, 64))."""
     for k in range(signals.shape[0]):
-        there[k] = is_selected(data, 0, signals, k, mux)
-        raws[k] = raw_value(data, 0, signals[k])
+        there[k] = is_selected(words, data, 0, signals, k, mux)
+        raws[k] = raw_value(words, data, 0, signals[k])
         values[k] = scaled_value(raws[k], signals[k], scratch)
 
 
@@ -33,11 +34,11 @@ def compiled_decode(message, payload):
     table = SignalTable()
     rows = {signal.name: table.add(0, message, signal) for signal in message.signals}
     signals, mux, _ = table.arrays()
-    data = np.zeros((1, 64), np.uint8)
-    data[0, : len(payload)] = list(payload)
+    frame = np.zeros(1, FRAME)
+    frame["data"][0, : len(payload)] = list(payload)
     values, raws = np.zeros(len(signals)), np.zeros(len(signals), np.uint64)
     there = np.zeros(len(signals), np.bool_)
-    decode_all(data, signals, mux, np.zeros(8, np.uint8), values, raws, there)
+    decode_all(frame_words(frame), frame["data"], signals, mux, np.zeros(8, np.uint8), values, raws, there)
     return {name: values[k] for name, k in rows.items() if there[k]}
 
 
@@ -76,7 +77,9 @@ def test_agrees_with_cantools_bit_for_bit(case):
         theirs |= alone.decode(payload, decode_choices=False)
     for signal in message.signals:
         scale = signal.conversion.scale
-        if isinstance(scale, int) and signal.length + scale.bit_length() > 62:  # exact in Python's long integers only
+        if (
+            isinstance(scale, int) and signal.length + scale.bit_length() > 62
+        ):  # exact in Python's long integers only
             assert ours[signal.name] == pytest.approx(float(theirs[signal.name]), rel=1e-15)
         else:
             assert same(ours[signal.name], theirs[signal.name]), (signal, payload)
@@ -119,5 +122,5 @@ def test_a_file_that_is_no_dbc_is_refused(tmp_path):
 
 def test_a_missing_signal_names_those_there_are():
     message = cantools.database.load_string(MULTIPLEXED, "dbc").messages[0]
-    with pytest.raises(RequestError, match="it has .*Always"):
+    with pytest.raises(RequestError, match=r"it has .*Always"):
         find_signal(message, "Rate", "map")
