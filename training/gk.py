@@ -4,7 +4,7 @@ Points are standardised first, so that units do not matter: every column has mea
 Memory beyond the input: one standardised copy and the partition matrix, 8·(columns + clusters) bytes a row.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -12,8 +12,9 @@ import numpy as np
 
 from rtcomp.errors import RequestError
 from training.excitation import check_finite, lacking
-from training.gk_kernels import cluster_widths, update_partition, weighted_centers, weighted_covariances
+from training.gk_kernels import cluster_widths, iterate
 
+LARGE = 100_000  # samples from which every iteration is worth a progress report
 COINCIDE = 1e-3  # Mahalanobis distance of two centres, below which two clusters are one
 
 
@@ -33,7 +34,7 @@ class Clustering:
     sentence: str
     centers: np.ndarray  # (clusters, columns): v, eq. 7
     widths: np.ndarray  # (clusters, columns): σ, eq. 8
-    memberships: np.ndarray  # (samples, clusters): μ, eq. 6
+    memberships: np.ndarray  # (clusters, samples): μ, eq. 6
     objective: np.ndarray  # J after each iteration, eq. 3, on standardised points
     repaired: bool  # the covariance repair acted in the start that was kept
     seed: int  # of the start that was kept
@@ -63,7 +64,7 @@ def cluster(
     """Cluster `points`, shape `(n_samples, n_columns)`; the last `outputs` columns are outputs.
 
     Only inputs are tested for excitation: a degenerate outcome names the input that lacks it.
-    `progress(iteration, change)` is called after every iteration. Raises RequestError on rows that are not finite.
+    `progress(iterations, change)` is called after every iteration of a large recording, once a start of a small one. Raises RequestError on rows that are not finite.
     """
     settings = settings or Settings()
     points = np.ascontiguousarray(points, np.float64)
@@ -81,11 +82,13 @@ def cluster(
 
 
 def standardise(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standardised copy, mean and scale; a constant column keeps scale 1."""
+    """Standardised copy, shape `(n_columns, n_samples)`, mean and scale; a constant column keeps scale 1."""
     mean, scale = points.mean(axis=0), points.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    z = points - mean
-    z /= scale
+    z = np.empty(points.shape[::-1])
+    for k, row in enumerate(z):
+        np.subtract(points[:, k], mean[k], out=row)
+        row /= scale[k]
     return z, mean, scale
 
 
@@ -99,7 +102,7 @@ def _refusal(points: np.ndarray, clusters: int, names: Sequence[str], inputs: in
 def _degenerate(points: np.ndarray, clusters: int, reason: str) -> Clustering:
     empty = np.full((clusters, points.shape[1]), np.nan)
     nothing = np.empty(0)
-    return Clustering(Outcome.DEGENERATE, reason, empty, empty, np.empty((0, clusters)), nothing, False, -1)
+    return Clustering(Outcome.DEGENERATE, reason, empty, empty, np.empty((clusters, 0)), nothing, False, -1)
 
 
 @dataclass
@@ -108,7 +111,7 @@ class _End:
 
     centers: np.ndarray
     memberships: np.ndarray
-    objective: list[float]
+    objective: np.ndarray
     repaired: bool
     settled: bool
     coincide: bool
@@ -119,58 +122,30 @@ def _run(
     z: np.ndarray, clusters: int, settings: Settings, seed: int, progress: Callable[[int, float], None] | None
 ) -> _End:
     """One start: Λ random, then eqs. 7, 5, 4, 6 in turn until ‖Λ_l − Λ_(l−1)‖ (largest entry) < ε."""
-    mu = random_partition(len(z), clusters, seed)
-    objective: list[float] = []
-    repaired, change = False, np.inf
+    mu = random_partition(z.shape[1], clusters, seed)
+    spread = float(np.linalg.det(np.atleast_2d(np.cov(z, bias=True)))) ** (1 / len(z))
+    at_once = settings.max_iterations if z.shape[1] < LARGE else 1
+    objective = np.empty(settings.max_iterations)
+    done, change, repaired = 0, np.inf, False
     centers, covariances = np.empty((0, 0)), np.empty((0, 0, 0))
-    for iteration, step in enumerate(_steps(z, mu, settings)):
-        centers, covariances, mended, change, value = step
-        objective.append(value)
-        repaired |= mended
+    while done < settings.max_iterations and change >= settings.tolerance:
+        more, change, mended, centers, covariances = iterate(
+            z, mu, settings.fuzziness, settings.tolerance, at_once,
+            settings.max_ratio, settings.shrinkage, spread, objective[done:],
+        )  # fmt: skip
+        done, repaired = done + more, repaired or mended
         if progress:
-            progress(iteration, change)
-        if change < settings.tolerance:
-            break
-    return _End(
-        centers, mu, objective, repaired, change < settings.tolerance, _coincide(centers, covariances), seed
-    )
-
-
-def _steps(z: np.ndarray, mu: np.ndarray, settings: Settings) -> Iterator[tuple]:
-    """The paper's steps 3-5, `mu` updated in place; yields (centres, covariances, repaired, change, J)."""
-    m = settings.fuzziness
-    spread = np.linalg.det(np.atleast_2d(np.cov(z, rowvar=False, bias=True))) ** (1 / z.shape[1])
-    for _ in range(settings.max_iterations):
-        centers = weighted_centers(z, mu, m)
-        covariances = weighted_covariances(z, mu, centers, m)
-        norms, mended = norm_matrices(covariances, spread, settings)
-        change, value = update_partition(z, mu, centers, norms, m)
-        yield centers, covariances, mended, change, value
+            progress(done, change)
+    coincide = _coincide(centers, covariances)
+    return _End(centers, mu, objective[:done], repaired, change < settings.tolerance, coincide, seed)
 
 
 def random_partition(samples: int, clusters: int, seed: int) -> np.ndarray:
-    """Λ at first: random memberships `(samples, clusters)` whose rows sum to 1."""
-    mu = np.random.default_rng(seed).random((samples, clusters))
+    """Λ at first: random memberships `(clusters, samples)` whose columns sum to 1."""
+    mu = np.random.default_rng(seed).random((clusters, samples))
     mu += 1e-9
-    mu /= mu.sum(axis=1, keepdims=True)
+    mu /= mu.sum(axis=0)
     return mu
-
-
-def norm_matrices(covariances: np.ndarray, spread: float, settings: Settings) -> tuple[np.ndarray, bool]:
-    """A_j = (ρ_j det F_j)^(1/n) F_j⁻¹ with ρ_j = 1 (eq. 4), and whether the repair acted.
-
-    The repair (Babuška 2002): F ← (1−γ)F + γ·spread·I, then eigenvalues below λ_max/β are raised to it.
-    """
-    n, gamma = covariances.shape[1], settings.shrinkage
-    if gamma > 0:
-        covariances = (1 - gamma) * covariances + gamma * spread * np.eye(n)
-    values, vectors = np.linalg.eigh(covariances)
-    floor = np.maximum(values[:, -1:] / settings.max_ratio, np.finfo(float).tiny)
-    mended = gamma > 0 or bool((values < floor).any())
-    values = np.maximum(values, floor)
-    volume = np.exp(np.log(values).mean(axis=1))  # det F^(1/n) without underflow
-    inverse = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    return np.ascontiguousarray(volume[:, None, None] * inverse), mended
 
 
 def _coincide(centers: np.ndarray, covariances: np.ndarray) -> bool:
@@ -196,7 +171,7 @@ def _finish(end: _End, z: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> Cl
         end.centers * scale + mean,
         widths * scale,
         end.memberships,
-        np.array(end.objective),
+        end.objective,
         end.repaired,
         end.seed,
     )

@@ -1,105 +1,257 @@
-"""Compiled passes of Gustafson-Kessel clustering over standardised points `z` (samples, columns), PAPER eqs. 3-8.
+"""Compiled Gustafson-Kessel iterations over standardised points, PAPER eqs. 3-8.
 
-`mu` is the partition (samples, clusters), `m` the fuzziness. Each pass reads the rows once, in order.
+Points `z` have shape (columns, samples) and the partition `mu` (clusters, samples), as in the paper: the inner loops
+then run along contiguous rows, which the compiler turns into vector instructions. Work goes in blocks of samples
+that stay in the cache.
 """
 
 import numpy as np
 
 from rtcomp.jit import kernel
 
+BLOCK = 2048
+
 
 @kernel
-def weighted_centers(z, mu, m):
+def iterate(z, mu, m, tolerance, steps, max_ratio, shrinkage, spread, objective):
+    """Up to `steps` rounds of eqs. 7, 5, 4, 6, `mu` in place, until its largest change is below `tolerance`.
+
+    Returns (rounds done, last change, whether the repair acted, centres, covariances); `objective` takes J (eq. 3).
+    """
+    n, clusters = z.shape[0], mu.shape[0]
+    centers = np.empty((clusters, n))
+    covariances = np.empty((clusters, n, n))
+    norms = np.empty((clusters, n, n))
+    repaired, change, done = False, np.inf, 0
+    while done < steps and change >= tolerance:
+        weighted_centers(z, mu, m, centers)
+        weighted_covariances(z, mu, centers, m, covariances)
+        for j in range(clusters):
+            repaired |= norm_matrix(covariances[j], max_ratio, shrinkage, spread, norms[j])
+        change, objective[done] = update_partition(z, mu, centers, norms, m)
+        done += 1
+    return done, change, repaired, centers, covariances
+
+
+@kernel
+def powered(mu, m, out):
+    """`out` = μ^m."""
+    if m == 2.0:
+        for i in range(len(mu)):
+            out[i] = mu[i] * mu[i]
+    else:
+        for i in range(len(mu)):
+            out[i] = mu[i] ** m
+
+
+@kernel
+def weighted_centers(z, mu, m, centers):
     """v_j = Σ_i μ_ji^m z_i / Σ_i μ_ji^m (eq. 7)."""
-    samples, n = z.shape
-    clusters = mu.shape[1]
-    centers = np.zeros((clusters, n))
-    weights = np.zeros(clusters)
-    for i in range(samples):
-        for j in range(clusters):
-            w = mu[i, j] * mu[i, j] if m == 2.0 else mu[i, j] ** m
-            weights[j] += w
+    n, samples = z.shape
+    weights = np.empty(min(BLOCK, samples))
+    ones = np.ones(min(BLOCK, samples))
+    for j in range(mu.shape[0]):
+        total = 0.0
+        centers[j, :] = 0.0
+        for first in range(0, samples, BLOCK):
+            last = min(first + BLOCK, samples)
+            w = weights[: last - first]
+            powered(mu[j, first:last], m, w)
+            total += np.dot(w, ones[: last - first])
             for k in range(n):
-                centers[j, k] += w * z[i, k]
-    for j in range(clusters):
+                centers[j, k] += np.dot(w, z[k, first:last])
         for k in range(n):
-            centers[j, k] /= weights[j]
-    return centers
+            centers[j, k] /= total
 
 
 @kernel
-def weighted_covariances(z, mu, centers, m):
+def weighted_covariances(z, mu, centers, m, covariances):
     """F_j = Σ_i μ_ji^m (z_i − v_j)(z_i − v_j)ᵀ / Σ_i μ_ji^m (eq. 5)."""
-    samples, n = z.shape
-    clusters = mu.shape[1]
-    covariances = np.zeros((clusters, n, n))
-    weights = np.zeros(clusters)
-    for i in range(samples):
-        for j in range(clusters):
-            w = mu[i, j] * mu[i, j] if m == 2.0 else mu[i, j] ** m
-            weights[j] += w
+    n, samples = z.shape
+    size = min(BLOCK, samples)
+    weights, weighted, ones = np.empty(size), np.empty(size), np.ones(size)
+    apart = np.empty((n, size))
+    for j in range(mu.shape[0]):
+        total = 0.0
+        covariances[j] = 0.0
+        for first in range(0, samples, BLOCK):
+            last = min(first + BLOCK, samples)
+            b = last - first
+            w, part = weights[:b], weighted[:b]
+            powered(mu[j, first:last], m, w)
+            total += np.dot(w, ones[:b])
             for k in range(n):
-                part = w * (z[i, k] - centers[j, k])
+                row, source, v = apart[k], z[k, first:last], centers[j, k]
+                for i in range(b):
+                    row[i] = source[i] - v
+                    part[i] = w[i] * row[i]
                 for h in range(k + 1):
-                    covariances[j, k, h] += part * (z[i, h] - centers[j, h])
-    for j in range(clusters):
+                    covariances[j, k, h] += np.dot(part, apart[h, :b])
         for k in range(n):
             for h in range(k + 1):
-                covariances[j, k, h] /= weights[j]
+                covariances[j, k, h] /= total
                 covariances[j, h, k] = covariances[j, k, h]
-    return covariances
+
+
+@kernel
+def norm_matrix(covariance, max_ratio, shrinkage, spread, out):
+    """A = (det F)^(1/n) F⁻¹ (eq. 4 with ρ = 1) into `out`; True when the repair of Babuška (2002) acted.
+
+    Eigenvalues are looked at only where their ratio could reach β: λ_max ≤ tr F and
+    λ_min ≥ det F·((n − 1)/tr F)^(n−1).
+    """
+    n = len(covariance)
+    if shrinkage == 0.0:
+        trace, determinant = 0.0, inverse_of(covariance, out)
+        for k in range(n):
+            trace += covariance[k, k]
+        if determinant > 0.0 and trace * (trace / max(n - 1, 1)) ** (n - 1) < max_ratio * determinant:
+            volume = determinant ** (1.0 / n)
+            for k in range(n):
+                for h in range(n):
+                    out[k, h] *= volume
+            return False
+    return repaired_norm_matrix(covariance, max_ratio, shrinkage, spread, out)
+
+
+@kernel
+def inverse_of(covariance, out):
+    """Inverse of a symmetric positive definite matrix by Gauss-Jordan; returns its determinant, 0 when singular."""
+    n = len(covariance)
+    left = covariance.copy()
+    out[:] = 0.0
+    determinant = 1.0
+    for k in range(n):
+        out[k, k] = 1.0
+    for k in range(n):
+        pivot = left[k, k]
+        if not pivot > 0.0:
+            return 0.0
+        determinant *= pivot
+        for h in range(n):
+            left[k, h] /= pivot
+            out[k, h] /= pivot
+        for q in range(n):
+            if q != k:
+                factor = left[q, k]
+                for h in range(n):
+                    left[q, h] -= factor * left[k, h]
+                    out[q, h] -= factor * out[k, h]
+    return determinant
+
+
+@kernel
+def repaired_norm_matrix(covariance, max_ratio, shrinkage, spread, out):
+    """F ← (1−γ)F + γ·spread·I, then eigenvalues below λ_max/β are raised to it; A of that into `out`."""
+    n = len(covariance)
+    mended = (1.0 - shrinkage) * covariance + shrinkage * spread * np.eye(n)
+    values, vectors = np.linalg.eigh(mended)
+    floor = max(values[n - 1] / max_ratio, 1e-300)
+    repaired, volume = shrinkage > 0.0, 0.0
+    for k in range(n):
+        if values[k] < floor:
+            values[k] = floor
+            repaired = True
+        volume += np.log(values[k]) / n
+    volume = np.exp(volume)
+    for k in range(n):
+        for h in range(n):
+            total = 0.0
+            for q in range(n):
+                total += vectors[k, q] * vectors[h, q] / values[q]
+            out[k, h] = volume * total
+    return repaired
 
 
 @kernel
 def update_partition(z, mu, centers, norms, m):
-    """Distances (eq. 4) and memberships (eq. 6) in place; largest change of μ, and J (eq. 3).
-
-    A point that sits on centres belongs to them in equal shares.
-    """
-    samples, n = z.shape
-    clusters = mu.shape[1]
-    square = np.empty(clusters)
-    power = -1.0 / (m - 1.0)
+    """Distances (eq. 4) and memberships (eq. 6) in place; largest change of μ, and J (eq. 3)."""
+    n, samples = z.shape
+    clusters = mu.shape[0]
+    size = min(BLOCK, samples)
+    square, inverse, share = np.empty((clusters, size)), np.empty((clusters, size)), np.empty(size)
     change, objective = 0.0, 0.0
-    for i in range(samples):
-        hits = 0
+    apart = np.empty((n, size))
+    for first in range(0, samples, BLOCK):
+        last = min(first + BLOCK, samples)
+        b = last - first
+        distances(z[:, first:last], centers, norms, square[:, :b], apart[:, :b])
+        objective += inverse_powers(square[:, :b], m, inverse, share)
         for j in range(clusters):
-            total = 0.0
-            for k in range(n):
-                apart = z[i, k] - centers[j, k]
-                total += apart * apart * norms[j, k, k]
-                for h in range(k):
-                    total += 2.0 * apart * (z[i, h] - centers[j, h]) * norms[j, k, h]
-            square[j] = max(total, 0.0)
-            hits += square[j] < 1e-300
-        share = 0.0
-        for j in range(clusters):
-            if hits == 0:
-                share += 1.0 / square[j] if m == 2.0 else square[j] ** power
-        for j in range(clusters):
-            if hits > 0:
-                new = 1.0 / hits if square[j] < 1e-300 else 0.0
-            else:
-                new = (1.0 / square[j] if m == 2.0 else square[j] ** power) / share
-            change = max(change, abs(new - mu[i, j]))
-            mu[i, j] = new
-            objective += (new * new if m == 2.0 else new**m) * square[j]
+            old, q, moved = mu[j, first:last], inverse[j], square[j]  # distances are not needed any more
+            for i in range(b):
+                new = q[i] * share[i]
+                moved[i] = abs(new - old[i])
+                old[i] = new
+            for i in range(b):
+                change = max(change, moved[i])
     return change, objective
 
 
 @kernel
-def cluster_widths(z, mu, centers):
-    """σ_jk² = Σ_i μ_ji (x_ki − v_jk)² / Σ_i μ_ji (eq. 8; μ, not μ^m)."""
-    samples, n = z.shape
-    clusters = mu.shape[1]
-    squares = np.zeros((clusters, n))
-    weights = np.zeros(clusters)
-    for i in range(samples):
-        for j in range(clusters):
-            weights[j] += mu[i, j]
-            for k in range(n):
-                squares[j, k] += mu[i, j] * (z[i, k] - centers[j, k]) ** 2
-    for j in range(clusters):
+def distances(z, centers, norms, square, apart):
+    """D²_ji = (z_i − v_j)ᵀ A_j (z_i − v_j) (eq. 4); `apart` is scratch, shape (columns, samples)."""
+    n, samples = z.shape
+    for j in range(len(centers)):
+        d = square[j]
+        d[:] = 0.0
         for k in range(n):
-            squares[j, k] = np.sqrt(squares[j, k] / weights[j])
-    return squares
+            row, source, v = apart[k], z[k], centers[j, k]
+            a = norms[j, k, k]
+            for i in range(samples):
+                row[i] = source[i] - v
+                d[i] += a * row[i] * row[i]
+            for h in range(k):
+                other, twice = apart[h], 2.0 * norms[j, k, h]
+                for i in range(samples):
+                    d[i] += twice * row[i] * other[i]
+
+
+@kernel
+def inverse_powers(square, m, inverse, share):
+    """`inverse` = (1/D²)^(1/(m−1)), `share` = 1/Σ_j of it, so that μ = inverse·share (eq. 6); returns this part of J.
+
+    By eq. 6 Σ_j μ_ji^m D²_ji = share^(m−1). A point that sits on centres belongs to them in equal shares.
+    """
+    clusters, samples = square.shape
+    power, objective = 1.0 / (m - 1.0), 0.0
+    share[:samples] = 0.0
+    for j in range(clusters):
+        d, q = square[j], inverse[j]
+        for i in range(samples):
+            q[i] = 1.0 / max(d[i], 0.0)
+        if m != 2.0:
+            for i in range(samples):
+                q[i] = q[i] ** power
+        for i in range(samples):
+            share[i] += q[i]
+    for i in range(samples):
+        share[i] = 1.0 / share[i]
+    for i in range(samples):
+        if share[i] > 0.0:
+            objective += share[i] if m == 2.0 else share[i] ** (m - 1.0)
+        else:
+            hits = 0.0
+            for j in range(clusters):
+                inverse[j, i] = 1.0 if inverse[j, i] == np.inf else 0.0
+                hits += inverse[j, i]
+            share[i] = 1.0 / hits
+    return objective
+
+
+@kernel
+def cluster_widths(z, mu, centers):
+    """σ_jk² = Σ_i μ_ji (x_ki − v_jk)² / Σ_i μ_ji (eq. 8; μ, not μ^m); returns σ, shape (clusters, columns)."""
+    n, samples = z.shape
+    clusters = mu.shape[0]
+    widths = np.empty((clusters, n))
+    for j in range(clusters):
+        total = 0.0
+        for i in range(samples):
+            total += mu[j, i]
+        for k in range(n):
+            square, v = 0.0, centers[j, k]
+            for i in range(samples):
+                square += mu[j, i] * (z[k, i] - v) ** 2
+            widths[j, k] = np.sqrt(square / total)
+    return widths
