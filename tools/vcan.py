@@ -32,6 +32,7 @@ KERNEL = "linux-image-amd64"
 PROBE_S = 30  # a guest under KVM boots in a few seconds; one that hangs hangs for good
 PASSED_ON = ("NUMBA_", "PYTEST_", "RTCOMP_", "PYTHONPATH", "HYPOTHESIS_")
 TIMED_OUT = 124  # as timeout(1) has it
+WARM_UP = "python -m pytest -q -p no:cacheprovider tests/test_socketcan.py tests/test_replay.py"
 VCAN_UP = """\
 modprobe vcan 2>/dev/null
 ip link show vcan0 >/dev/null 2>&1 || ip link add dev vcan0 type vcan || exit 69
@@ -130,16 +131,29 @@ def kernel_image(folder: Path, package: str = KERNEL) -> Path:
     return next(home.glob("boot/vmlinuz-*"))
 
 
+def compiled_code(cache: Path) -> dict[str, str]:
+    """Variables that make compiled code valid in the guest and on the host, and keep it between runs."""
+    return {"NUMBA_CACHE_DIR": str(cache / "numba"), "NUMBA_CPU_NAME": "generic"}
+
+
+def warm_up(command: str, cache: Path) -> None:
+    """Run something here that compiles what the guest will need: there it takes minutes instead of seconds."""
+    environment = os.environ | compiled_code(cache) | {"PATH": search_path()}
+    say(f"compiling ahead with `{command}`")
+    done = subprocess.run(
+        shlex.split(command), check=False, cwd=CHECKOUT, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    if done.returncode:
+        say(f"that failed ({done.returncode}), so the guest compiles itself:\n{done.stdout[-1000:]}")
+
+
 def guest_script(command: Sequence[str], cache: Path) -> str:
     """What the guest's shell runs: vcan0 up, then the command in the checkout."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(PASSED_ON)}
-    environment |= {
-        "PATH": search_path(),
-        "HOME": str(Path.home()),
-        "NUMBA_CACHE_DIR": str(cache / "numba"),
-        "NUMBA_CPU_NAME": "generic",  # compiled code is valid in the guest and on the host
-        "RTCOMP_GUEST": "1",
-    }
+    environment |= {"PATH": search_path(), "HOME": str(Path.home()), "RTCOMP_GUEST": "1"} | compiled_code(
+        cache
+    )
     exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in environment.items())
     return f"{exports}{VCAN_UP}cd {shlex.quote(str(CHECKOUT))} || exit 69\n{shlex.join(command)}\n"
 
@@ -208,6 +222,8 @@ def run_in_guest(command: Sequence[str], arguments: argparse.Namespace) -> int:
     cache = cache_folder()
     install_what_is_missing()
     kernel = kernel_image(cache, arguments.kernel)
+    for line in arguments.warm_up:
+        warm_up(line, cache)
     kvm = arguments.kvm != "never" and kvm_works(kernel, cache, arguments.memory)
     with tempfile.NamedTemporaryFile("w", suffix=".sh", dir=cache) as script:
         script.write(guest_script(command, cache))
@@ -228,8 +244,12 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--cpus", type=int, default=2)
     parser.add_argument("--memory", default="3G")
     parser.add_argument("--timeout", type=float, default=3600, help="seconds")
+    parser.add_argument(
+        "--warm-up", action="append", help=f"run here first, to compile ahead; none: '' (default: {WARM_UP})"
+    )
     parser.add_argument("command", nargs="+", help="after --")
     arguments = parser.parse_args(words)
+    arguments.warm_up = [WARM_UP] if arguments.warm_up is None else list(filter(None, arguments.warm_up))
     try:
         if not arguments.guest and host_has_vcan():
             return subprocess.run(arguments.command, check=False, cwd=CHECKOUT).returncode

@@ -18,7 +18,7 @@ EXTENDED, FD, ERROR = int(FrameFlag.EXTENDED), int(FrameFlag.FD), int(FrameFlag.
 REMOTE, BRS, ESI = int(FrameFlag.REMOTE), int(FrameFlag.BITRATE_SWITCH), int(FrameFlag.ERROR_STATE)
 NANO = 1_000_000_000
 MSG_DONTWAIT = 0x40
-EAGAIN, EINTR, ENOBUFS = 11, 4, 105
+EAGAIN, EINTR, ENETDOWN, ENOBUFS = 11, 4, 100, 105
 CLASSIC_SIZE, FD_SIZE = 16, 72
 FD_FRAME = 4  # CANFD_FDF
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
@@ -85,6 +85,8 @@ def _put_frame(words, slot, frames, row):
 def _send_once(words, address, descriptor, count, now):
     """Send `count` slots: how many frames are done with (sent, or the first given up), or 0 to try again."""
     sent = sendmmsg(descriptor, address + 8 * STATE_WORDS, count, MSG_DONTWAIT)
+    if sent < 0 and last_error() == ENETDOWN:  # told once for an interface that is perhaps up again
+        sent = sendmmsg(descriptor, address + 8 * STATE_WORDS, count, MSG_DONTWAIT)
     if sent > 0:
         words[STUCK_SINCE] = 0
         return sent

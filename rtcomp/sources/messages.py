@@ -1,7 +1,6 @@
 """Between python-can's messages and FRAME arrays, a batch at a time."""
 
-from collections.abc import Iterable, Sequence
-from operator import attrgetter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,15 +13,14 @@ from rtcomp.sources.events import CAN_ERR_BUSERROR
 if TYPE_CHECKING:
     import can
 
-_ALWAYS = {
+_FLAG_FIELDS = {
     "is_extended_id": FrameFlag.EXTENDED,
     "is_fd": FrameFlag.FD,
     "is_error_frame": FrameFlag.ERROR,
     "is_remote_frame": FrameFlag.REMOTE,
+    "bitrate_switch": FrameFlag.BITRATE_SWITCH,
+    "error_state_indicator": FrameFlag.ERROR_STATE,
 }
-_ONLY_FD = {"bitrate_switch": FrameFlag.BITRATE_SWITCH, "error_state_indicator": FrameFlag.ERROR_STATE}
-_read = attrgetter("timestamp", "arbitration_id", "data", *_ALWAYS)
-_read_fd = attrgetter(*_ONLY_FD)
 SPECIAL = FrameFlag.REMOTE | FrameFlag.ERROR
 
 
@@ -42,35 +40,40 @@ def _spread_payloads(payload, lengths, data):
 def fill_frames(messages: Sequence["can.Message"], frames: NDArray[Any]) -> NDArray[np.float64]:
     """Write messages into the first rows of `frames`, all fields but the time; returns their float times [s].
 
-    The fields are read as columns: per message that is a third of a microsecond.
+    Each field is one comprehension, which the interpreter specialises: half of what `attrgetter` takes.
     """
     count = len(messages)
     rows = frames[:count]
-    times, ids, payloads, *states = zip(*map(_read, messages), strict=True)
+    payloads = [message.data for message in messages]
     lengths = np.fromiter(map(len, payloads), np.int64, count)
-    flags = _flag_bytes(states, _ALWAYS.values(), count)
-    if np.any(flags & FrameFlag.FD):
-        flags |= _flag_bytes(zip(*map(_read_fd, messages), strict=True), _ONLY_FD.values(), count)
-    flags[flags & FrameFlag.ERROR != 0] = FrameFlag.ERROR  # that, and nothing else its message may say
-    rows["can_id"] = np.fromiter(ids, np.uint32, count)
+    flags = _flag_bytes(messages)
+    rows["can_id"] = np.fromiter([message.arbitration_id for message in messages], np.uint32, count)
     rows["flags"] = flags
     rows["length"] = np.minimum(lengths, 64)
     rows["reserved"] = 0
     _spread_payloads(np.frombuffer(b"".join(payloads), np.uint8), lengths, rows["data"])
     for row in np.flatnonzero(flags & SPECIAL).tolist():
         _finish_special(rows[row], messages[row].dlc)
-    return np.array(times, np.float64)
+    return np.fromiter([message.timestamp for message in messages], np.float64, count)
 
 
-def _flag_bytes(
-    states: Iterable[tuple[bool, ...]], flags: Iterable[FrameFlag], count: int
-) -> NDArray[np.uint8]:
-    """FrameFlag bytes of columns of truth values; most columns are all false and cost next to nothing."""
-    byte = np.zeros(count, np.uint8)
-    for state, flag in zip(states, flags, strict=True):
-        if any(state):
-            byte |= np.fromiter(state, np.bool_, count).astype(np.uint8) * np.uint8(flag)
-    return byte
+def _flag_bytes(messages: Sequence["can.Message"]) -> NDArray[np.uint8]:
+    """FrameFlag bytes; what no message of a batch has costs next to nothing."""
+    columns = [
+        (FrameFlag.EXTENDED, [message.is_extended_id for message in messages]),
+        (FrameFlag.FD, [message.is_fd for message in messages]),
+        (FrameFlag.ERROR, [message.is_error_frame for message in messages]),
+        (FrameFlag.REMOTE, [message.is_remote_frame for message in messages]),
+    ]
+    if True in columns[1][1]:
+        columns.append((FrameFlag.BITRATE_SWITCH, [message.bitrate_switch for message in messages]))
+        columns.append((FrameFlag.ERROR_STATE, [message.error_state_indicator for message in messages]))
+    flags = np.zeros(len(messages), np.uint8)
+    for flag, states in columns:
+        if True in states:
+            flags |= np.fromiter(states, np.bool_, len(messages)).astype(np.uint8) * np.uint8(flag)
+    flags[flags & FrameFlag.ERROR != 0] = FrameFlag.ERROR  # that, and nothing else its message may say
+    return flags
 
 
 def _finish_special(row: Any, dlc: int) -> None:
@@ -104,5 +107,5 @@ def to_message(frame: Any) -> "can.Message":
         arbitration_id=int(frame["can_id"]),
         dlc=length,
         data=None if flags & FrameFlag.REMOTE else frame["data"][:length].tobytes(),
-        **{name: bool(flags & flag) for name, flag in (_ALWAYS | _ONLY_FD).items()},
+        **{name: bool(flags & flag) for name, flag in _FLAG_FIELDS.items()},
     )
