@@ -9,7 +9,7 @@ from training.diagnose.align import Timing, align
 from training.diagnose.fast import FastFinding, line_finding, quantization_finding, variance_findings
 from training.diagnose.integrity import Checked, check
 from training.diagnose.prepare import prepare
-from training.diagnose.reference import Reference, reference
+from training.diagnose.reference import Reference, reference, unbiased
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
 from training.diagnose.work import FloatArray, Work
@@ -28,6 +28,7 @@ class Intake:
     timing: Timing
     fast: list[FastFinding]
     work: Work
+    driving: FloatArray
 
     @property
     def rate(self) -> FloatArray:
@@ -60,7 +61,7 @@ def take_in(recording: Recording, checked: Checked, simulation: Simulation, sett
     truth = np.where(np.isfinite(columns["ref_rate_dps"]), columns["ref_rate_dps"], 0.0)
     if "t_s" not in columns:
         work = prepare(recording.name, columns, residual, np.zeros_like(truth), truth, valid)
-        return Intake(recording, checked, residual, simulated, None, Timing(moved=truth), [], work)
+        return Intake(recording, checked, residual, simulated, None, Timing(moved=truth), [], work, truth)
     t = columns["t_s"]
     filled = _bridged(residual, valid)
     ref = reference(t, truth, filled)
@@ -72,11 +73,12 @@ def take_in(recording: Recording, checked: Checked, simulation: Simulation, sett
     fast = [f for f in (quantized, line) if f is not None]
     if quantized is None:
         fast += variance_findings(left, found.moved, t, valid)
+    driving, noise = unbiased(ref, found.moved, left)
     work = prepare(
-        recording.name, columns, left, np.zeros_like(left), found.moved, valid, power_on_known=settings.power_on_known
+        recording.name, columns, left, np.zeros_like(left), driving, valid, power_on_known=settings.power_on_known
     )
-    work.rate_noise_dps = ref.left_dps
-    return Intake(recording, checked, residual, simulated, ref, found, fast, work)
+    work.rate_noise_dps = noise
+    return Intake(recording, checked, residual, simulated, ref, found, fast, work, driving)
 
 
 def _bridged(values: FloatArray, valid: np.ndarray) -> FloatArray:
@@ -91,7 +93,7 @@ def full_work(intake: Intake, power_on_known: bool) -> Work:
     columns = intake.checked.columns
     everything = np.ones(len(intake.rate), dtype=bool)
     return prepare(
-        intake.recording.name, columns, intake.residual, np.zeros_like(intake.rate), intake.rate, everything,
+        intake.recording.name, columns, intake.residual, np.zeros_like(intake.rate), intake.driving, everything,
         power_on_known=power_on_known, max_blocks=10_000_000,
     )
 

@@ -12,12 +12,13 @@ import numpy as np
 from rtcomp.jit import kernel
 from training.diagnose.spectrum import update
 
-RIDGE = 1e-9
+COLLINEAR = 3e-6  # a column this much explained by those before it is left out: float32 carries no more
+OUT = 1e150
 
 
 @kernel
 def _solve(matrix, right, n):
-    """Solve the n×n symmetric system in place of `right` (Cholesky on the unit-diagonal form, guarded)."""
+    """Solve the n×n symmetric system in place of `right` (Cholesky; collinear columns get a zero coefficient)."""
     scale = np.empty(n)
     for i in range(n):
         scale[i] = 1.0 / np.sqrt(matrix[i, i]) if matrix[i, i] > 0.0 else 0.0
@@ -25,12 +26,10 @@ def _solve(matrix, right, n):
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j] * scale[i] * scale[j]
-            if i == j:
-                total = 1.0 + RIDGE
             for k in range(j):
                 total -= low[i, k] * low[j, k]
             if i == j:
-                low[i, i] = np.sqrt(max(total, RIDGE))
+                low[i, i] = np.sqrt(total) if total > COLLINEAR else OUT
             else:
                 low[i, j] = total / low[j, j]
     for col in range(right.shape[1]):

@@ -131,7 +131,9 @@ def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[lis
     effect = candidate.variant.group.effect
     for i, part in enumerate(parts):
         if part.effect == effect:
-            grown = Part(part.group, [*part.points, candidate.variant.parameters], part.p_value)
+            new = candidate.variant.parameters
+            points = [new] if "order" in new and not part.group.continuous else [*part.points, new]
+            grown = Part(part.group, points, part.p_value)
             return [*parts[:i], grown, *parts[i + 1 :]], i
     return [*parts, Part(candidate.variant.group, [candidate.variant.parameters], p_value)], len(parts)
 
@@ -139,7 +141,8 @@ def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[lis
 def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candidate | None:
     """The step to take: a new effect where it is significant, unless a richer shape of a chosen one does as well."""
     room = {p.effect: len(p.points) <= MAX_SHAPES for p in parts}
-    shapes = [c for e, c in found.items() if room.get(e, False)]
+    points = {p.effect: p.points for p in parts}
+    shapes = [c for e, c in found.items() if room.get(e, False) and _differs(c.variant.parameters, points[e])]
     fresh = [c for e, c in found.items() if e not in room] if len(parts) < MAX_EFFECTS else []
     shape = max(shapes, key=lambda c: c.excess, default=None)
     new = max(fresh, key=lambda c: c.excess, default=None)
@@ -150,6 +153,14 @@ def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candida
     if shape is not None and new is not None:
         return new if new.excess > STRONGER + 1.5 * shape.excess else shape
     return new or shape
+
+
+def _differs(new: Parameters, points: list[Parameters]) -> bool:
+    """Whether a further point of a group's grid is a different shape and not the one that is there already."""
+    def close(old: Parameters) -> bool:
+        return all(abs(new[k] - old[k]) <= 0.2 * abs(old[k]) + 1e-9 for k in new if k in old)
+
+    return not any(close(old) for old in points)
 
 
 def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, interpolate, ndimage
 
+from training.diagnose.spectrum import band_edges
 from training.diagnose.work import FloatArray
 
 TOP_SHARE = 0.5
 MIN_NOISY = 0.25
+LARGEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Reference:
     rate: FloatArray
     noise_dps: float
     left_dps: float
+    gain: FloatArray
     spline: interpolate.CubicSpline
 
     def moved(self, t: FloatArray, delay_s: FloatArray | float) -> FloatArray:
@@ -36,8 +39,28 @@ class Reference:
 def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference:
     """Smooth a reference `(n,)` on times `(n,)` by what the residual `(n,)` says of its noise."""
     noise = _shared_noise(ref, residual)
-    rate, passed = _wiener(ref, noise) if noise > 0.0 else (ref, 1.0)
-    return Reference(rate, float(np.sqrt(noise)), float(np.sqrt(noise * passed)), interpolate.CubicSpline(t, rate))
+    rate, gain = _wiener(ref, noise) if noise > 0.0 else (ref, np.ones(len(ref)))
+    left = float(np.sqrt(noise * np.mean(gain**2)))
+    return Reference(rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
+
+
+def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> tuple[FloatArray, float]:
+    """The moved true rate with the reference's noise estimated from the residual, and the deviation that is left.
+
+    The residual is n − ν (gyro noise less reference noise).  Wiener's estimate of ν from it, filtered by
+    S_ν/S_residual at every frequency, leaves a rate whose error is uncorrelated with the residual: regressors made
+    of it cannot find the reference's noise in the residual.  The estimate is bounded, so that a large effect stays.
+    """
+    if ref.noise_dps <= 0.0:
+        return moved, 0.0
+    design = np.stack([np.ones(len(moved)), moved], axis=1)
+    left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
+    spectrum = fft.dct(left, norm="ortho")
+    edges = band_edges(len(left))
+    power = np.repeat(np.add.reduceat(spectrum**2, edges[:-1]) / np.diff(edges), np.diff(edges))
+    share = np.minimum(ref.noise_dps**2 / np.maximum(power, 1e-300), 1.2)
+    estimate = np.clip(fft.idct(spectrum * share * ref.gain, norm="ortho"), -LARGEST * ref.noise_dps, LARGEST * ref.noise_dps)
+    return moved + estimate, ref.left_dps
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
@@ -53,11 +76,11 @@ def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
     return shared if variance > 0.0 and shared > MIN_NOISY * variance and shared > 4.0 * sigma else 0.0
 
 
-def _wiener(ref: FloatArray, noise: float) -> tuple[FloatArray, float]:
-    """(smoothed reference, share of the white noise's power that is left)."""
+def _wiener(ref: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+    """(smoothed reference, gain of the filter per DCT coefficient)."""
     line = np.linspace(ref[0], ref[-1], len(ref))
     spectrum = fft.dct(ref - line, norm="ortho")
     width = max(5, len(ref) // 2000)
     power = ndimage.uniform_filter1d(spectrum**2, width, mode="nearest")
     gain = np.clip(1.0 - 1.5 * noise / np.maximum(power, 1e-300), 0.0, 1.0)
-    return line + fft.idct(spectrum * gain, norm="ortho"), float(np.mean(gain**2))
+    return line + fft.idct(spectrum * gain, norm="ortho"), gain
