@@ -166,11 +166,13 @@ def guest_command(kernel: Path, script: Path, cache: Path, kvm: bool, cpus: int,
     ]  # fmt: skip
 
 
-def pump(source: IO[bytes], target: IO[bytes]) -> None:
-    """Pass bytes on as they come."""
-    while block := os.read(source.fileno(), 1 << 16):
-        target.write(block)
-        target.flush()
+def pump(source: IO[bytes], target: IO[bytes] | None) -> None:
+    """Pass bytes on as they come, or drop them, until the other end closes."""
+    with source:
+        while block := os.read(source.fileno(), 1 << 16):
+            if target is not None:
+                target.write(block)
+                target.flush()
 
 
 def run_guest(command: Sequence[str], timeout_s: float, output: bool = True) -> int:
@@ -179,23 +181,25 @@ def run_guest(command: Sequence[str], timeout_s: float, output: bool = True) -> 
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env=os.environ | {"PATH": search_path()}, cwd=CHECKOUT, start_new_session=True,
     )  # fmt: skip
-    streams = []
-    for source, target in ((process.stdout, sys.stdout.buffer), (process.stderr, sys.stderr.buffer)):
-        assert source is not None  # noqa: S101 (they are pipes)
-        sink = target if output else open(os.devnull, "wb")  # noqa: SIM115 (open as long as the guest runs)
-        streams.append(threading.Thread(target=pump, args=(source, sink), daemon=True))
-        streams[-1].start()
+    targets = (sys.stdout.buffer, sys.stderr.buffer) if output else (None, None)
+    pumps = [
+        threading.Thread(target=pump, args=ends, daemon=True)
+        for ends in zip((process.stdout, process.stderr), targets, strict=True)
+    ]
+    for thread in pumps:
+        thread.start()
     try:
         status = process.wait(timeout_s)
-    except (subprocess.TimeoutExpired, KeyboardInterrupt) as error:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        say(f"ended after {timeout_s:.0f} s") if output else None
-        return TIMED_OUT
-    for stream in streams:
-        stream.join(5)
+    except subprocess.TimeoutExpired:
+        status = TIMED_OUT
+        if output:
+            say(f"ended after {timeout_s:.0f} s")
+    finally:  # Ctrl-C too ends the whole group, QEMU included
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    for thread in pumps:
+        thread.join(5)
     return status
 
 
