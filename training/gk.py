@@ -64,7 +64,8 @@ def cluster(
     """Cluster `points`, shape `(n_samples, n_columns)`; the last `outputs` columns are outputs.
 
     Only inputs are tested for excitation: a degenerate outcome names the input that lacks it.
-    `progress(iterations, change)` is called after every iteration of a large recording, once a start of a small one. Raises RequestError on rows that are not finite.
+    `progress(iterations, change)` is called after every iteration of a large recording, after every start of a small
+    one. Raises RequestError on rows that are not finite.
     """
     settings = settings or Settings()
     points = np.ascontiguousarray(points, np.float64)
@@ -88,7 +89,7 @@ def standardise(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     z = np.empty(points.shape[::-1])
     for k, row in enumerate(z):
         np.subtract(points[:, k], mean[k], out=row)
-        row /= scale[k]
+        np.divide(row, scale[k], out=row)
     return z, mean, scale
 
 

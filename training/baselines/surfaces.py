@@ -1,7 +1,9 @@
 """Error surfaces over (temperature, measured rate) that the project is compared with, each from its library."""
 
 import logging
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +11,13 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.compose import ColumnTransformer
 from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, SplineTransformer, StandardScaler
+from threadpoolctl import threadpool_limits
 
 from training.baselines.lssvm import LeastSquaresSVM
 from training.baselines.network import BackPropagationNetwork
@@ -39,7 +43,22 @@ class Surface:
             log.warning("%s: trained on %d of %d rows drawn at random", self.what, self.largest, len(inputs))
             rows = np.random.default_rng(seed).choice(len(inputs), self.largest, replace=False)
             inputs, error_dps = inputs[rows], error_dps[rows]
-        return self.make(seed).fit(inputs, error_dps).predict
+        with _quietly():
+            trained = self.make(seed).fit(inputs, error_dps)
+
+        def predict(inputs: np.ndarray) -> np.ndarray:
+            with _quietly():
+                return trained.predict(inputs)
+
+        return predict
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """One thread (many cost more than they bring on a busy machine), and a search that ends at a bound is no news."""
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        yield
 
 
 def _plane(seed: int) -> Any:
