@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from training.diagnose.design import Domain, Library
+from training.diagnose.library import Group
 from training.diagnose.naming import (
     CLASS_COST,
     CLASS_SHARE,
@@ -13,6 +14,7 @@ from training.diagnose.naming import (
     Model,
     Part,
     build,
+    part_columns,
     partial_chi2,
     refine,
     residual_scan,
@@ -21,6 +23,8 @@ from training.diagnose.naming import (
 from training.diagnose.search import Candidate, Null
 
 PREFER = 2.0
+TABLE = "compensation_table"
+PHASES = 12
 BIAS, SCALE, HEADING = "bias", "scale", "heading"
 FAMILY = {
     **dict.fromkeys(("bias_temperature", "shupe", "bias_hysteresis", "polarization_ripple", "compensation_table",
@@ -71,6 +75,8 @@ def with_classes(library: Library, domains: Sequence[Domain], null: Null, model:
         without = build(rest, domains, model.fit.weights)
         allowed = CLASS_COST + CLASS_SHARE * strengths[i]
         found = residual_scan(library, without, null)
+        if part.effect == TABLE:
+            found = {e: c for e, c in found.items() if e == "polarization_ripple"}
         taken = {p.effect for p in model.parts}
         close = {}
         mine = found[part.effect].excess if part.effect in found else 0.0
@@ -80,8 +86,37 @@ def with_classes(library: Library, domains: Sequence[Domain], null: Null, model:
             cost = reference - _rival_score(library, domains, null, without, candidate, len(part.points))
             if cost < allowed:
                 close[effect] = cost
+        close |= _table_rival(domains, without, part, reference, allowed, library)
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
     return Model(parts, model.frame, model.fit)
+
+
+def _table_rival(
+    domains: Sequence[Domain], without: Model, part: Part, reference: float, allowed: float, library: Library
+) -> dict[str, float]:
+    """What a sawtooth in temperature costs in the place of a ripple (empty where it is no rival)."""
+    group = next((g for g in library.groups if g.effect == TABLE), None)
+    if group is None or part.effect != "polarization_ripple":
+        return {}
+    model = sawtooth_model(domains, without, group, part)
+    cost = reference - score(model)
+    return {TABLE: cost} if cost < allowed else {}
+
+
+def sawtooth_model(domains: Sequence[Domain], without: Model, group: Group, ripple: Part) -> Model:
+    """The best sawtooth near the ripple's period: coarse over period and phase, then refined."""
+    weights = without.fit.weights
+    period = ripple.points[0]["period_K"]
+    tried = []
+    for ratio in (0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06):
+        for phase in range(PHASES):
+            point = {"period_K": period * ratio, "phase_K": period * ratio * phase / PHASES}
+            extra = [part_columns(Part(group, [point]), d) for d in domains]
+            fit = without.frame.fit(without.frame.grams(extra=extra), weights, rounds=3, inner=6)
+            tried.append((fit.loglik, point))
+    best = max(tried, key=lambda item: item[0])[1]
+    parts = refine([*without.parts, Part(group, [best])], len(without.parts), domains, weights)
+    return build(parts, domains, weights)
 
 
 def _contains(part: Part, rival: Candidate) -> bool:
@@ -98,9 +133,14 @@ def preferred(library: Library, domains: Sequence[Domain], null: Null, model: Mo
             continue
         rest = [p for j, p in enumerate(model.parts) if j != i]
         without = build(rest, domains, model.fit.weights)
-        candidate = residual_scan(library, without, null)[better[0]]
-        parts = [*rest, Part(candidate.variant.group, [candidate.variant.parameters], part.p_value)]
-        parts = refine(parts, len(parts) - 1, domains, without.fit.weights)
+        if better[0] == TABLE:
+            group = next(g for g in library.groups if g.effect == TABLE)
+            parts = sawtooth_model(domains, without, group, part).parts
+            parts[-1].p_value = part.p_value
+        else:
+            candidate = residual_scan(library, without, null)[better[0]]
+            parts = [*rest, Part(candidate.variant.group, [candidate.variant.parameters], part.p_value)]
+            parts = refine(parts, len(parts) - 1, domains, without.fit.weights)
         return with_classes(library, domains, null, build(parts, domains, without.fit.weights))
     return model
 

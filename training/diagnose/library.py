@@ -220,12 +220,8 @@ def _ripple(work: Work, p: Parameters) -> list[FloatArray]:
 
 
 def _sawtooth_grid(survey: Survey) -> list[Parameters]:
-    span = survey.temp_high - survey.temp_low
-    if span < 8.0:
-        return []
-    inverse = np.arange(1.0 / min(16.0, 0.6 * span), 1.0 / 3.5, 0.16 / span)
-    phases = np.arange(8) / 8.0
-    return [{"period_K": float(1 / f), "phase_K": float(q / f)} for f in inverse for q in phases]
+    """Tried in a ripple's place, around its period (`training.diagnose.classes`), not on a grid of its own."""
+    return []
 
 
 def _sawtooth(work: Work, p: Parameters) -> list[FloatArray]:

@@ -20,6 +20,7 @@ CLASS_SHARE = 0.012
 SHARED_FAMILY_SHARE = 0.05
 OTHER_FAMILY_SHARE = 0.004
 STRONGER = 10.0
+ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 
 @dataclass
@@ -106,7 +107,7 @@ def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: Fl
     start = part.points[-1]
 
     def point(x: FloatArray) -> Parameters:
-        moved = {n: start[n] * float(np.exp(v)) if start[n] > 0 and n != "chirp_per_K" else start[n] + 0.01 * float(v)
+        moved = {n: start[n] * float(np.exp(v)) if n not in ADDITIVE else start[n] + ADDITIVE[n] * float(v)
                  for n, v in zip(names, x, strict=True)}
         return {**start, **moved}
 
@@ -118,8 +119,8 @@ def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: Fl
         extra = [d.work.transform(np.stack(part.group.columns(d.work, point(x)), axis=1)) for d in domains]
         return -frame.fit(frame.grams(extra=extra), weights, rounds=3, inner=6).loglik
 
-    step = 0.01 if "period_K" in names else 0.12
-    simplex = np.vstack([np.zeros(len(names)), step * np.eye(len(names))])
+    steps = [0.01 if n == "period_K" else 0.1 if n == "phase_K" else 0.12 for n in names]
+    simplex = np.vstack([np.zeros(len(names)), np.diag(steps)])
     found = optimize.minimize(cost, np.zeros(len(names)), method="Nelder-Mead",
                               options={"maxfev": 24 * len(names), "xatol": 0.003, "fatol": 0.1, "initial_simplex": simplex})
     better = Part(part.group, [*part.points[:-1], point(found.x)], part.p_value)

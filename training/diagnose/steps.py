@@ -56,16 +56,21 @@ class Stepper:
         better = frame.fit(frame.grams(column, extra), fit.weights, rounds=4, inner=6)
         return top[1], 2.0 * (better.loglik - fit.loglik)
 
+    def _norms(self, i: int, spectrum: FloatArray) -> FloatArray:
+        """Whitened squared norm of the coarse grid's steps, nuisances projected out."""
+        nuisance, rows = self.domains[i].nuisance, self.rows[i]
+        weighted = nuisance / spectrum[:, None]
+        cross = weighted.T @ rows
+        own = np.einsum("ij,ij,i->j", rows, rows, 1.0 / spectrum)
+        return own - np.sum(cross * (np.linalg.pinv(weighted.T @ nuisance) @ cross), axis=0)
+
     def _power(self, i: int, left: FloatArray, spectrum: FloatArray) -> FloatArray:
         """(matched filter)²/norm of a step at every sample."""
         d = self.domains[i]
         back = fft.idct(left / spectrum, norm="ortho") / d.work.spread
         shape = self.group.columns(d.work, {"at_share": 0.0, "recording": float(d.work.index)})[0]
         matched = np.cumsum((back * shape)[::-1])[::-1]
-        nuisance = d.nuisance / np.sqrt(spectrum)[:, None]
-        white = self.rows[i] / np.sqrt(spectrum)[:, None]
-        white = white - nuisance @ np.linalg.lstsq(nuisance, white, rcond=None)[0]
-        norm = np.interp((np.arange(len(left)) + 0.5) / len(left), self.shares, np.sum(white**2, axis=0))
+        norm = np.interp((np.arange(len(left)) + 0.5) / len(left), self.shares, self._norms(i, spectrum))
         return matched**2 / np.maximum(norm, 1e-12 * norm.max() + 1e-300)
 
 

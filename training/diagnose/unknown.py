@@ -8,14 +8,16 @@ import numpy as np
 from training.diagnose.design import Domain, Library
 from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
-from training.diagnose.naming import ALPHA, Model, Part, build, partial_chi2, residual_scan
+from training.diagnose.naming import ALPHA, Model, Part, build, partial_chi2, residual_scan, score
 from training.diagnose.search import Null, surrogate_null
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
 REMAINDER_ALPHA = 1e-3
+STANDS = 0.9
 TIME_WEIGHT = 0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
-TIME_LIKE = frozenset({"time", "rate_times_time"})
+TIME_LIKE = frozenset({"time", "rate_times_time", "time_since_power_on"})
+TIME_ALPHA = 1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
 RATE_DRIVERS = frozenset({
     "rate", "rate_times_temperature", "rate_times_temperature_rate", "rate_times_time", "rate_times_heading",
 })
@@ -62,10 +64,11 @@ def unexplained(
     found = residual_scan(generic, model, null)
     if not found:
         return model, None
-    driver, top = max(found.items(), key=lambda item: item[1].excess)
-    p_value = null.p_value(top.excess)
-    if p_value > REMAINDER_ALPHA:
+    strict = {d: c for d, c in found.items() if null.p_value(c.excess) < (TIME_ALPHA if d in TIME_LIKE else REMAINDER_ALPHA)}
+    if not strict:
         return model, None
+    driver, top = max(strict.items(), key=lambda item: item[1].excess)
+    p_value = null.p_value(top.excess)
     group = top.variant.group
     part = Part(group, [top.variant.parameters], p_value)
     joint = build([*model.parts, part], domains, model.fit.weights)
@@ -75,20 +78,28 @@ def unexplained(
     related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
     strongest = max((model.parts[i].chi2 for i in related), default=0.0)
     if related and strength > WITHDRAW_SHARE * strongest:
-        return _withdrawn(generic, domains, model, null, related)
+        withdrawn = _withdrawn(generic, domains, model, null, related)
+        if withdrawn is not None:
+            return withdrawn
     return model, Unknown(driver, part, p_value, strength, [], named=False)
 
 
 def _withdrawn(
     generic: Library, domains: Sequence[Domain], model: Model, null: Null, related: list[int]
-) -> tuple[Model, Unknown | None]:
-    """Take the related names back and let a smooth function of the best driver stand in their place."""
+) -> tuple[Model, Unknown | None] | None:
+    """Take the related names back and let a smooth function of the best driver stand in their place.
+
+    None where that function explains clearly less than the names did: then the names stand.
+    """
     kept = build([p for i, p in enumerate(model.parts) if i not in related], domains, model.fit.weights)
     kept = Model([replace(p) for p in kept.parts], kept.frame, kept.fit)
     found = residual_scan(generic, kept, null)
     driver, top = max(found.items(), key=lambda item: item[1].excess)
     part = Part(top.variant.group, [top.variant.parameters], null.p_value(top.excess))
     joint = build([*kept.parts, part], domains, kept.fit.weights)
+    named_gain = score(model) - score(kept)
+    if part.p_value > ALPHA or score(joint) - score(kept) < STANDS * named_gain:
+        return None
     names = [model.parts[i].effect for i in related]
     return kept, Unknown(driver, part, part.p_value, partial_chi2(joint)[-1], names, named=True)
 
