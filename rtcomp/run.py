@@ -162,6 +162,11 @@ class Runner:
                 f"no subscriber of {self.publisher.key('*', 'rate')} after {wait_s:g} s; going on without"
             )
         self.publisher.start()
+        keys = ", ".join(self.publisher.key(name, "rate") for name in self.map.channel_names)
+        self.say(
+            f"{self.config.bus or self.config.log}: publishing {keys}"
+            + ("" if self.config.log else "; stop with Ctrl-C")
+        )
         self._started = time.monotonic()
         try:
             for frames in self._frames():
