@@ -31,6 +31,14 @@ def test_importing_sources_does_not_load_python_can():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_opening_a_bus_does_not_load_what_only_mf4_logs_need():
+    code = (
+        "import sys\nfrom rtcomp.sources.bus import open_bus\nopen_bus('virtual:x').close()\n"
+        "sys.exit('pandas' in sys.modules or 'asammdf' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("text", "interface", "channel", "options"),
     [

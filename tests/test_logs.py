@@ -1,5 +1,6 @@
 """Logs of every format: the same frames as python-can reads, and what is refused."""
 
+import gzip
 import subprocess
 import sys
 
@@ -162,6 +163,26 @@ def test_log_without_frames_is_refused(tmp_path, suffix):
     path = write_log(tmp_path / f"empty{suffix}", [])
     with pytest.raises(RequestError, match="holds no CAN frame"):
         list(read_log(path))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # asammdf's own
+def test_mf4_is_read_after_a_bus_was_opened_without_asammdf(tmp_path):
+    path = write_log(tmp_path / "some.mf4", classic_messages(5))
+    code = (
+        "import sys\nfrom rtcomp.sources.bus import open_bus\nfrom rtcomp.sources.logs import read_log\n"
+        "open_bus('virtual:x').close()\nassert 'asammdf' not in sys.modules\n"
+        "print(sum(map(len, read_log(sys.argv[1]))))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], check=True, capture_output=True, text=True)
+    assert done.stdout == "5\n"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # asammdf's own
+def test_mf4_gz_is_read(tmp_path):
+    path = write_log(tmp_path / "some.mf4", classic_messages(5))
+    packed = tmp_path / "some.mf4.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert read_all(packed)["can_id"].tolist() == read_all(path)["can_id"].tolist()
 
 
 def test_mf4_without_asammdf_says_what_to_install(tmp_path, monkeypatch):

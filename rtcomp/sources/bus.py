@@ -16,6 +16,7 @@ from rtcomp.frames import FRAME
 from rtcomp.sources import events
 from rtcomp.sources.clock import SteadyClock
 from rtcomp.sources.messages import fill_frames
+from rtcomp.sources.python_can import import_can
 
 if TYPE_CHECKING:
     import can
@@ -77,8 +78,7 @@ class BusSpec:
 
 def parse_spec(text: str) -> BusSpec:
     """Take `interface:channel?key=value&…` apart; the channel may hold colons. Raises RequestError."""
-    from can.util import cast_from_string
-
+    cast_from_string = import_can().util.cast_from_string
     address, _, query = text.partition("?")
     interface, _, channel = address.partition(":")
     try:

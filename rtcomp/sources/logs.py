@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rtcomp.errors import RequestError
 from rtcomp.sources.candump import open_log, read_candump
 from rtcomp.sources.messages import to_frames
+from rtcomp.sources.python_can import import_can, mf4_reader
 
 if TYPE_CHECKING:
     from can.io.generic import MessageReader
@@ -95,14 +96,11 @@ def _read_by_python_can(path: Path, kind: str) -> Iterator[NDArray[Any]]:
 
 def _reader(path: Path, kind: str, file: BinaryIO) -> "MessageReader":
     """python-can's reader over our open file, with absolute times where the format leaves a choice."""
-    import can
-
-    if kind == ".mf4" and find_spec("asammdf") is None:
-        raise RequestError(f"{path}: reading .mf4 needs asammdf; install it with `pip install 'rtcomp[mf4]'`")
-    if kind == ".mf4" and file.read(3) != b"MDF":  # asammdf says so too, but leaves a half-made object behind
-        raise ValueError("it does not begin with MDF")
-    if kind in (".mf4", ".db"):  # these want a path
-        return can.LogReader(path)
+    can = import_can()
+    if kind == ".mf4":
+        return _mf4_reader(path, file)
+    if kind == ".db":
+        return can.SqliteReader(path)
     if kind == ".blf":
         return can.BLFReader(file)
     text = TextIOWrapper(file, encoding="utf-8", errors="replace")
@@ -111,10 +109,18 @@ def _reader(path: Path, kind: str, file: BinaryIO) -> "MessageReader":
     return can.TRCReader(text) if kind == ".trc" else can.CSVReader(text)
 
 
+def _mf4_reader(path: Path, file: BinaryIO) -> "MessageReader":
+    if find_spec("asammdf") is None:
+        raise RequestError(f"{path}: reading .mf4 needs asammdf; install it with `pip install 'rtcomp[mf4]'`")
+    if file.read(3) != b"MDF":  # asammdf says so too, but leaves a half-made object behind
+        raise ValueError("it does not begin with MDF")
+    file.seek(0)
+    return mf4_reader()(path if path.suffix.lower() == ".mf4" else file)
+
+
 def _asc_date_is_known(path: Path) -> bool:
     """Whether python-can can make a start time of the log's dates; it stops at one it cannot."""
-    import can
-
+    can = import_can()
     with open_log(path) as file:
         lines = [line.decode(errors="replace").strip() for line in islice(file, HEADER_LINES)]
     dates = [
@@ -131,7 +137,7 @@ def _asc_date_is_known(path: Path) -> bool:
 
 def _damage(kind: str) -> tuple[type[Exception], ...]:
     """What python-can's reader of this format raises on a damaged or foreign file."""
-    import can
+    can = import_can()
     from can.io.blf import BLFParseError
 
     text = (ValueError, IndexError, KeyError, EOFError, zlib.error, OSError, struct.error, can.CanError)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtcomp.frames import FRAME, FrameFlag
 from rtcomp.jit import kernel
 from rtcomp.sources.events import CAN_ERR_BUSERROR
+from rtcomp.sources.python_can import import_can
 
 if TYPE_CHECKING:
     import can
@@ -99,8 +100,7 @@ def to_frames(messages: Sequence["can.Message"]) -> NDArray[Any]:
 
 def to_message(frame: Any) -> "can.Message":
     """One row of FRAME as a python-can message to send."""
-    import can
-
+    can = import_can()
     flags, length = int(frame["flags"]), int(frame["length"])
     return can.Message(
         timestamp=int(frame["t_ns"]) / 1e9,
