@@ -52,7 +52,7 @@ def plan(cases: int, seed: int, levels: tuple[str, ...]) -> list[tuple[str, str,
 
 def _size(kind: str, rng: np.random.Generator) -> tuple[float, float]:
     """Duration [s] and sampling rate [Hz] fit for a kind of scene."""
-    moving, surroundings = (kind.split("/") + ["none"])[:2]
+    moving, surroundings = [*kind.split("/"), "none"][:2]
     if surroundings in LONG:
         rates = (2.0, 5.0, 10.0) if moving != "zero" else (1.0, 2.0, 5.0)
         return float(rng.uniform(7500, 10800)), float(rng.choice(rates))
@@ -68,9 +68,8 @@ def _chain(rng: np.random.Generator, wanted: Wish, planted: list[Planted]) -> Ch
     if wanted.wrong_simulation:
         law, share = dict(planted[0].parameters), 1.0
         law.pop("strength")
-    elif wanted.kind.endswith("/cycle") and not any(p.effect.stage == "reference" for p in planted):
-        if wanted.notes["with_simulation"] > 0.75:
-            law, share = draw_law(np.random.default_rng(int(wanted.notes["law_seed"]))), 1.0
+    elif wanted.kind.endswith("/cycle") and wanted.notes["with_simulation"] > 0.75:
+        law, share = draw_law(np.random.default_rng(int(wanted.notes["law_seed"]))), 1.0
     twins = any(p.id in ("thermal_lag", "scale_hysteresis", "scale_temperature_rate") for p in planted)
     return Chain(
         seed=int(rng.integers(1 << 40)),
@@ -88,10 +87,11 @@ def _chain(rng: np.random.Generator, wanted: Wish, planted: list[Planted]) -> Ch
 def make_case(name: str, level: str, turn: int, seed: int) -> Case:
     """Everything of one case, from (seed, level, turn) alone."""
     rng = np.random.default_rng([seed, 1, int(level[1:]), turn])
+    case = _attempt(name, level, turn, rng)
     for _ in range(TRIES):
-        case = _attempt(name, level, turn, rng)
         if level != "L5" or len(case.truth["effects"][0]["inseparable"]) > 1:
             break
+        case = _attempt(name, level, turn, rng)
     return case
 
 

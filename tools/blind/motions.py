@@ -1,6 +1,7 @@
 """True rates: a rate table, a vehicle, heading circles, a creep through zero. Smooth enough to be resampled exactly."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -30,7 +31,7 @@ def _grid(duration_s: float, fs_hz: float) -> np.ndarray:
 
 
 def _smooth(values: np.ndarray, dt_s: float, window_s: float) -> np.ndarray:
-    n = max(3, int(round(window_s / dt_s)) | 1)
+    n = max(3, round(window_s / dt_s) | 1)
     hann = np.hanning(n + 2)[1:-1]
     padded = np.concatenate([np.full(n // 2, values[0]), values, np.full(n // 2, values[-1])])
     return np.asarray(fftconvolve(padded, hann / hann.sum(), mode="valid"))
@@ -155,7 +156,9 @@ def _roll_rate(accel: np.ndarray, dt_s: float) -> np.ndarray:
     from scipy.signal import cont2discrete
 
     w0, zeta = 2 * np.pi * 1.3, 0.35
-    system = cont2discrete(([4 / GRAVITY * w0**2, 0.0], [1, 2 * zeta * w0, w0**2]), dt_s, method="bilinear")
+    system: Any = cont2discrete(
+        ([4 / GRAVITY * w0**2, 0.0], [1, 2 * zeta * w0, w0**2]), dt_s, method="bilinear"
+    )
     return np.asarray(lfilter(np.ravel(system[0]), system[1], accel))
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from tools.blind.climates import STEP_S
 from tools.blind.effect import Effect, Known, Parameters
 from tools.blind.materials import fringes, optical_gain, pick_up
 from tools.blind.relays import preisach

@@ -98,7 +98,7 @@ def make_scene(kind: str, duration_s: float, fs_hz: float, grade: float, rng: np
     moving, surroundings = kind.split("/")
     motion = MOTIONS[moving](duration_s, fs_hz, rng)
     climate = make_climate(surroundings, duration_s, rng)
-    t = np.arange(next_fast_len(int(0.97 * duration_s * fs_hz))) / fs_hz
+    t = np.arange(int(next_fast_len(int(0.97 * duration_s * fs_hz)) or 0)) / fs_hz
     reference = 0.0 if moving == "zero" else float(np.exp(rng.uniform(np.log(2e-3), np.log(3e-2))))
     noise = draw_noise(rng, 1 / fs_hz, grade, reference)
     omega = np.asarray(motion.rate(t))

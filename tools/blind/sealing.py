@@ -55,7 +55,8 @@ def open_case(folder: Path, seal: str) -> tuple[dict[str, Any], dict[str, np.nda
     found = _digest(truth, arrays)
     if found != seal:
         raise WorkError(
-            f"{folder}: the truth has sha256 {found[:12]}…, sealed was {seal[:12]}…; make the cases again and never edit them"
+            f"{folder}: the truth has sha256 {found[:12]}…, sealed was {seal[:12]}…; "
+            "make the cases again and never edit them"
         )
     return json.loads(truth), arrays
 

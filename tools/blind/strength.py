@@ -96,10 +96,8 @@ def resemblance(
     columns = []
     for _ in range(draws):
         parameters = other.draw(rng, scenes[0])
-        if other.linear:
-            parameters = parameters | {"strength": other.unit}
-        else:
-            parameters = solve(other, scenes, parameters, wanted)
+        unit = parameters | {"strength": other.unit}
+        parameters = unit if other.linear else solve(other, scenes, parameters, wanted)
         columns.append(_signature(other, scenes, parameters))
     width = 3 if other.id in FLEXIBLE else 1
     return max(_explained(target, np.column_stack(columns[i : i + width])) for i in range(0, draws, width))

@@ -39,7 +39,7 @@ def _rectified(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
     freedom = max(2 * p["bandwidth_hz"] * s.dt_s, 1.0)
     power = np.random.default_rng(p["seed"]).chisquare(freedom, len(m)) / freedom
     shaking = np.zeros(len(m)) if s.vibration is None else s.vibration
-    settled = lfilter([0.5], [1, -0.5], power - 1) * 0.05 + 1
+    settled = np.asarray(lfilter([0.5], [1, -0.5], power - 1)) * 0.05 + 1
     return m + p["strength"] * p["sign"] / HOUR * shaking**2 * settled
 
 

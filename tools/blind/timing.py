@@ -1,5 +1,7 @@
 """Errors of time: the motion itself is resampled at the moments when it was really measured."""
 
+from typing import Any
+
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
@@ -76,9 +78,9 @@ def _filtered(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
     """The sensor's own low pass, run on the finely sampled motion; `strength` is its time constant [s]."""
     road, tau = s.road(), p["strength"]
     analog = ([1.0], [tau, 1.0]) if p["order"] == 1 else ([1.0], [tau**2, np.sqrt(2) * tau, 1.0])
-    top, bottom, _ = cont2discrete(analog, road.grid_s[1] - road.grid_s[0], method="foh")
+    discrete: Any = cont2discrete(analog, road.grid_s[1] - road.grid_s[0], method="foh")
     fine = road.rate(road.grid_s)
-    out = np.asarray(lfilter(np.ravel(top), bottom, fine - fine[0])) + fine[0]
+    out = np.asarray(lfilter(np.ravel(discrete[0]), np.ravel(discrete[1]), fine - fine[0])) + fine[0]
     return m + np.interp(s.t_s, road.grid_s, out - fine)
 
 
