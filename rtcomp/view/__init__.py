@@ -1,0 +1,1 @@
+"""The rerun viewer: error surfaces and streams, live from zenoh or from files. `rerun` is imported here only, and late."""

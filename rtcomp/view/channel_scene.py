@@ -1,0 +1,195 @@
+"""The 3D scene of one channel: surfaces before and after, rules, validity, the operating point and its trail."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rtcomp.model import Model, ResidualTable
+from rtcomp.view import colours
+from rtcomp.view.cells import Cells
+from rtcomp.view.columns import Times
+from rtcomp.view.rerun_sdk import load_rerun
+from rtcomp.view.scene import Box, log_axes, make_box
+from rtcomp.view.streams import error_columns
+from rtcomp.view.surface import (
+    LIFT,
+    Grid,
+    evaluate,
+    log_rules,
+    log_surface,
+    log_tiles,
+    log_validity,
+    valid_range,
+)
+
+TRAIL_POINTS, TRAIL_STEP_NS = 120, 250_000_000  # half a minute
+"""How much of its way the operating point drags along."""
+FIRST_LOOK_S, SLOWER = 1.0, 1.3  # measured surfaces are logged after 1 s, and then less and less often …
+SLOWEST_S = 30.0  # … but never less often than this
+
+
+def fitting_box(models: Sequence[Model], temp: np.ndarray, rate: np.ndarray, error: np.ndarray) -> Box:
+    """A box around the models' validity and the samples given (arrays of any length; NaN is left out)."""
+    temps = [*(valid_range(models, "temp_degC") or ()), *_ends(temp)]
+    rates = [*(valid_range(models, "rate_dps") or ()), *_ends(rate)]
+    spans = (min(temps, default=-40.0), max(temps, default=85.0)), (min(rates, default=-60.0), max(rates, default=60.0))
+    limit = max([float(np.abs(evaluate(models, *spans).error_dps).max())] if models else [0.0])
+    measured = np.abs(error[np.isfinite(error)])
+    return make_box(*spans, max(limit, float(np.quantile(measured, 0.999)) if len(measured) else 0.0))
+
+
+def _ends(values: np.ndarray) -> list[float]:
+    known = values[np.isfinite(values)]
+    return [float(known.min()), float(known.max())] if len(known) else []
+
+
+class Way(NamedTuple):
+    """Where the sensor was: correction on the surface before, error left on the one after (0 when not known)."""
+
+    t_ns: int
+    temp_degC: float
+    rate_dps: float
+    correction_dps: float
+    left_dps: float
+
+
+class ChannelScene:
+    """Settings: the models. State: the box, the cells measured, the trail. Update: `add` with every batch."""
+
+    def __init__(self, stream: Any, name: str, models: Sequence[Model]) -> None:
+        self.stream, self.root, self.models = stream, f"{name}/surface", list(models)
+        self.box: Box | None = None
+        self.cells: Cells | None = None
+        self._trail: deque[Way] = deque(maxlen=TRAIL_POINTS)
+        self._due_ns, self._wait_s, self._shown = 0, FIRST_LOOK_S, 0
+
+    def add(self, samples: np.ndarray) -> None:
+        """Take in a batch of CORRECTED samples, shape `(n,)`, n > 0; rows without a temperature are left out."""
+        samples = samples[np.isfinite(samples["temp_degC"])]
+        if not len(samples):
+            return
+        errors = error_columns(samples)
+        if self.box is None or self._outgrown(samples, errors):
+            self._build(samples, errors)
+        assert self.cells is not None
+        self.cells.add(samples["temp_degC"], samples["rate_raw_dps"], errors)
+        self._move(samples)
+        self._show_measured(int(samples["t_ns"][-1]))
+
+    def swap(self, models: Sequence[Model]) -> None:
+        """Show other models from now on."""
+        self.models, self.box = list(models), None
+
+    def _outgrown(self, samples: np.ndarray, errors: np.ndarray) -> bool:
+        """Whether a scene without stated validity has become too small."""
+        box = self.box
+        assert box is not None
+        if self.models and valid_range(self.models, "temp_degC") and valid_range(self.models, "rate_dps"):
+            return False
+        sizes = (samples["temp_degC"], box.temp_degC), (samples["rate_raw_dps"], box.rate_dps)
+        seen = np.abs(errors[:, 0][np.isfinite(errors[:, 0])])
+        big = len(seen) > 0 and float(np.quantile(seen, 0.99)) > 1.5 * box.limit_dps
+        return big or any(float(v.min()) < low or float(v.max()) > high for v, (low, high) in sizes)
+
+    def _build(self, samples: np.ndarray, errors: np.ndarray) -> None:
+        temp, rate = samples["temp_degC"], samples["rate_raw_dps"]
+        if self.box is not None:  # what was seen stays inside
+            temp, rate = np.append(temp, self.box.temp_degC), np.append(rate, self.box.rate_dps)
+        self.box = box = fitting_box(self.models, temp, rate, errors[:, 0])
+        self.cells = Cells(box)
+        self._due_ns, self._wait_s = 0, FIRST_LOOK_S
+        log_model_scene(self.stream, self.root, self.models, box)
+
+    def _move(self, samples: np.ndarray) -> None:
+        assert self.box is not None
+        last = samples[-1]
+        left = float(last["rate_dps"] - last["ref_rate_dps"])
+        here = Way(
+            int(last["t_ns"]),
+            float(last["temp_degC"]),
+            float(last["rate_raw_dps"]),
+            float(last["correction_dps"]),
+            left if np.isfinite(left) else 0.0,
+        )
+        step = here.t_ns - self._trail[-1].t_ns if self._trail else TRAIL_STEP_NS
+        if step < 0:
+            self._trail.clear()  # a replay began anew
+        if step < 0 or step >= TRAIL_STEP_NS:
+            self._trail.append(here)
+        log_operating_point(self.stream, self.root, self.box, [*self._trail, here])
+
+    def _show_measured(self, t_ns: int) -> None:
+        assert self.box is not None
+        assert self.cells is not None
+        if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(self.cells):
+            return
+        self._due_ns = t_ns + round(self._wait_s * 1e9)
+        self._wait_s = min(self._wait_s * SLOWER, SLOWEST_S)
+        before, after = self.cells.means()
+        if not self.models:
+            log_tiles(self.stream, f"{self.root}/before/measured", before, self.box)
+        log_tiles(self.stream, f"{self.root}/after/measured", after, self.box)
+
+    def finish(self) -> None:
+        """Log what was measured up to the end."""
+        if self.box is not None and self.cells is not None and len(self.cells):
+            self._due_ns = 0
+            self._show_measured(2**62)
+
+
+def log_model_scene(stream: Any, root: str, models: Sequence[Model], box: Box) -> None:
+    """Log what a model says: its surface with rules and validity before, ± its standard deviation after."""
+    for side in ("before", "after"):
+        log_axes(stream, f"{root}/{side}/axes", box)
+    if not models:
+        return
+    inside = [valid_range(models, name) or getattr(box, name) for name in ("temp_degC", "rate_dps")]
+    log_surface(stream, f"{root}/before/model", evaluate(models, *inside), box)
+    log_rules(stream, f"{root}/before/rules", models, box)
+    log_validity(stream, f"{root}/before/validity", models, box)
+    log_validity(stream, f"{root}/after/validity", models, box)
+    sigma = residual_sigma(models)
+    if sigma is not None:
+        log_sigma(stream, f"{root}/after/sigma", sigma, inside, box)
+
+
+def residual_sigma(models: Sequence[Model]) -> float | None:
+    """The largest standard deviation [°/s] of what the last model leaves; None where it states none."""
+    residual = models[-1].residual_std_dps
+    if isinstance(residual, ResidualTable):
+        return max(max(row) for row in residual.std_dps)
+    return residual
+
+
+def log_sigma(stream: Any, path: str, sigma: float, inside: list[tuple[float, float]], box: Box) -> None:
+    """Log the frames ±σ between which the error left is expected, and grey where none has been measured."""
+    (t0, t1), (w0, w1) = inside
+    rr = load_rerun()
+    rings = [box.place([t0, t1, t1, t0, t0], [w0, w0, w1, w1, w0], z) for z in (-sigma, sigma)]
+    stream.log(path, rr.LineStrips3D(rings, colors=[colours.BAND], radii=[-0.8]), static=True)
+    flat = Grid(np.linspace(t0, t1, 9), np.linspace(w0, w1, 9), np.zeros((9, 9)))
+    log_surface(stream, f"{path}/unmeasured", flat, box, plain=colours.UNMEASURED)
+
+
+def log_operating_point(stream: Any, root: str, box: Box, way: list[Way]) -> None:
+    """Log where the sensor is now, on both surfaces, and the way it came."""
+    rr = load_rerun()
+    when = [Times(np.array([way[-1].t_ns]))]
+    rows = np.array([row[1:] for row in way])
+    for side, error in (("before", rows[:, 2]), ("after", rows[:, 3])):
+        places = box.place(rows[:, 0], rows[:, 1], error) + np.float32([0.0, 0.0, 4 * LIFT])
+        point = rr.Points3D.columns(positions=places[-1:])
+        stream.send_columns(f"{root}/{side}/operating_point", indexes=when, columns=point)
+        stream.send_columns(f"{root}/{side}/trail", indexes=when, columns=rr.LineStrips3D.columns(strips=[places]))
+
+
+def style_operating_point(stream: Any, root: str) -> None:
+    """Size and colours of the operating point and its trail."""
+    rr = load_rerun()
+    for side in ("before", "after"):
+        point = rr.Points3D.from_fields(radii=[0.04], colors=[colours.TRAIL], labels=["now"], show_labels=True)
+        stream.log(f"{root}/{side}/operating_point", point, static=True)
+        trail = rr.LineStrips3D.from_fields(radii=[0.01], colors=[colours.TRAIL])
+        stream.log(f"{root}/{side}/trail", trail, static=True)

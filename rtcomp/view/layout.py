@@ -1,0 +1,97 @@
+"""How the viewer opens: per sensor the two surfaces on the left, the streams on the right."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rtcomp.view.rerun_sdk import TIMELINE, load_rerun
+from rtcomp.view.streams import SERIES
+
+BACKGROUND = (22, 25, 32, 255)
+EYE = (1.75, -2.15, 1.3)
+
+
+def live_blueprint(names: Sequence[str], window_s: float | None = 30.0) -> Any:
+    """The blueprint for streams of these channels; `window_s` is how much of the past plots show (None: all)."""
+    rrb = _blueprint_module()
+    pages = [_sensor_page(name, window_s) for name in names]
+    root = pages[0] if len(pages) == 1 else rrb.Tabs(*pages)
+    return rrb.Blueprint(root, rrb.TimePanel(state="collapsed", timeline=TIMELINE), *_closed())
+
+
+def surfaces_blueprint(names: Sequence[str], titles: Sequence[str] = ("before", "after")) -> Any:
+    """The blueprint for surfaces without streams: a model, a paper run."""
+    rrb = _blueprint_module()
+    rows = [
+        rrb.Horizontal(*[_scene_view(f"{name}/surface/{side}", _title(name, side)) for side in titles], name=name)
+        for name in names
+    ]
+    texts = [rrb.TextDocumentView(origin=f"{name}/about", name=f"{name}: about") for name in names]
+    pages = [rrb.Horizontal(row, text, column_shares=[4, 1], name=row.name) for row, text in zip(rows, texts, strict=True)]
+    root = pages[0] if len(pages) == 1 else rrb.Tabs(*pages)
+    return rrb.Blueprint(root, rrb.TimePanel(state="hidden"), *_closed())
+
+
+def _blueprint_module() -> Any:
+    load_rerun()
+    import rerun.blueprint as rrb
+
+    return rrb
+
+
+def _closed() -> tuple[Any, ...]:
+    rrb = _blueprint_module()
+    return rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), rrb.TopPanel(state="collapsed")
+
+
+def _sensor_page(name: str, window_s: float | None) -> Any:
+    rrb = _blueprint_module()
+    surfaces = rrb.Vertical(
+        _scene_view(f"{name}/surface/before", _title(name, "before")),
+        _scene_view(f"{name}/surface/after", _title(name, "after")),
+    )
+    streams = rrb.Vertical(
+        _plot(name, "rate", "rate [°/s]", window_s),
+        _plot(name, "error", "error against the reference [°/s]", window_s),
+        _plot(name, "correction", "correction ± σ [°/s]", window_s),
+        rrb.Horizontal(
+            _plot(name, "temperature", "temperature [°C]", window_s),
+            _plot(name, "temperature_rate", "dT/dt [°C/min]", window_s),
+        ),
+        rrb.Tabs(
+            rrb.StateTimelineView(origin=f"{name}/status", name="status"),
+            _plot(name, "latency", "latency [µs]", None),
+            _plot(name, "losses", "losses [samples]", None),
+            _plot(name, "history/error", "whole run: rms error [°/s]", None),
+            _plot(name, "history/correction", "whole run: correction [°/s]", None),
+            _plot(name, "history/temperature", "whole run: temperature [°C]", None),
+            rrb.TextDocumentView(origin=f"{name}/about", name="about"),
+        ),
+        row_shares=[1.2, 1.2, 1, 0.9, 1],
+    )
+    return rrb.Horizontal(surfaces, streams, column_shares=[1.1, 1], name=name)
+
+
+def _title(name: str, side: str) -> str:
+    told = {"before": "error before compensation", "after": "error left after compensation"}
+    return f"{name}: {told.get(side, side)}"
+
+
+def _scene_view(origin: str, title: str) -> Any:
+    rrb = _blueprint_module()
+    eye = rrb.EyeControls3D(kind="Orbital", position=EYE, look_target=(0.06, -0.02, -0.1), eye_up=(0.0, 0.0, 1.0))
+    hidden = rrb.LineGrid3D(visible=False)
+    return rrb.Spatial3DView(origin=origin, name=title, background=BACKGROUND, line_grid=hidden, eye_controls=eye)
+
+
+def _plot(name: str, entity: str, title: str, window_s: float | None) -> Any:
+    rrb = _blueprint_module()
+    options: dict[str, Any] = {}
+    several = len(SERIES[entity][0]) > 1
+    if window_s is not None:
+        past = rrb.TimeRangeBoundary.cursor_relative(seconds=-window_s)
+        now = rrb.TimeRangeBoundary.cursor_relative()
+        options["axis_x"] = rrb.TimeAxis(view_range=rrb.TimeRange(start=past, end=now))
+        options["time_ranges"] = rrb.VisibleTimeRange(TIMELINE, start=past, end=now)
+    return rrb.TimeSeriesView(
+        origin=f"{name}/{entity}", name=title, plot_legend=rrb.PlotLegend(corner="LeftTop", visible=several), **options
+    )

@@ -1,0 +1,244 @@
+"""Live from zenoh: samples of every channel are gathered in a bounded ring and logged ten times a second."""
+
+import json
+import logging
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rtcomp.errors import WorkError
+from rtcomp.frames import CORRECTED, Flag
+from rtcomp.model import Model, parse_model
+from rtcomp.view.channel_scene import ChannelScene, style_operating_point
+from rtcomp.view.layout import live_blueprint
+from rtcomp.view.report import about_models
+from rtcomp.view.rerun_sdk import load_rerun
+from rtcomp.view.sinks import Sink
+from rtcomp.view.streams import ChannelStreams, history_columns
+from rtcomp.view.thinning import History, thin
+
+log = logging.getLogger(__name__)
+
+BATCH_S = 0.1
+RING = 1 << 16  # samples that may wait; older ones give way, and are counted by their sequence numbers
+PAUSE_S = 2.0
+HISTORY_EVERY_S = 60.0
+ANSWER_S = 1.0
+
+
+class Channel:
+    """One channel: its streams, scene and past. Counts: samples `logged`, `missed` on the way, `thinned` here."""
+
+    def __init__(self, sink: Sink, name: str) -> None:
+        self.sink, self.name = sink, name
+        self.streams = ChannelStreams(sink.stream, name)
+        self.scene = ChannelScene(sink.stream, name, ())
+        self.past = History(4)
+        self.logged = self.missed = self.thinned = 0
+        self.dtype: np.dtype[Any] | None = None
+        self.heard = time.monotonic()
+        self.running = False
+        self._next_seq: int | None = None
+        self._last_ns = 0
+        style_operating_point(sink.stream, f"{name}/surface")
+
+    def add(self, samples: np.ndarray) -> bool:
+        """Log a batch of CORRECTED samples `(n,)`; True when the publisher has started anew or changed its model."""
+        anew = self._count(samples["seq"]) or bool((samples["flags"] & Flag.MODEL_SWAPPED).any())
+        self.past.add(samples["t_ns"], history_columns(samples))
+        rows = samples
+        if self.sink.rows_per_batch is not None and len(samples) > self.sink.rows_per_batch:
+            rows = samples[thin(samples["rate_raw_dps"], self.sink.rows_per_batch)]
+        self.streams.add(rows)
+        self.scene.add(samples)
+        if not self.running:
+            self.streams.mark(int(samples["t_ns"][0]), "running")
+        self.logged += len(rows)
+        self.thinned += len(samples) - len(rows)
+        self.heard, self.running, self._last_ns = time.monotonic(), True, int(samples["t_ns"][-1])
+        return anew
+
+    def _count(self, seq: np.ndarray) -> bool:
+        steps = np.diff(seq.astype(np.int64), prepend=int(seq[0]) if self._next_seq is None else self._next_seq - 1)
+        if self._next_seq is None:
+            steps[0] = 1
+        self.missed += int((steps[steps > 1] - 1).sum())
+        self._next_seq = int(seq[-1]) + 1
+        return bool((steps < 1).any())
+
+    def health(self, document: dict[str, Any]) -> None:
+        """Log the channel's health, at the time of its last sample."""
+        if self._last_ns:
+            self.streams.health(self._last_ns, document, self.missed, self.thinned)
+
+    def pause(self) -> None:
+        """Say that nothing comes any more."""
+        self.running = False
+        self.streams.mark(self._last_ns + 1, "paused")
+
+    def log_history(self) -> None:
+        """Log the whole past again, thinned: the viewer drops its oldest rows when its memory is full."""
+        t_ns, means = self.past.rows()
+        if len(t_ns):
+            self.streams.history(t_ns, means)
+
+
+class Viewer:
+    """Shows every channel under a prefix. `start`, then it runs in a thread of its own until `stop`.
+
+    Nothing is asked of the publisher but what any subscriber asks. `session` stays the caller's.
+    """
+
+    def __init__(self, session: Any, prefix: str, sink: Sink, window_s: float | None = 30.0) -> None:
+        """`window_s` is how much of the past the plots show, None the whole."""
+        self.session, self.prefix, self.sink = session, prefix.strip("/"), sink
+        self.channels: dict[str, Channel] = {}
+        self.log_s = 0.0  # time spent in logging samples
+        self.values = 0  # numbers logged of samples
+        self.error: Exception | None = None
+        self._window_s = window_s
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._history_due = time.monotonic() + 1.0
+        self._unsure: set[str] = set()  # channels whose model is to be asked for
+
+    def start(self) -> None:
+        """Subscribe and begin to log."""
+        import zenoh
+
+        ring = zenoh.handlers.RingChannel
+        self._rates = self.session.declare_subscriber(f"{self.prefix}/*/rate", ring(RING))
+        self._healths = self.session.declare_subscriber(f"{self.prefix}/*/health", ring(256))
+        self._alive = self.session.liveliness().declare_subscriber(f"{self.prefix}/*/alive", ring(64), history=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Log what has come in up to now and unsubscribe.
+
+        Raises the error that ended the thread, if one did.
+        """
+        self._stopped.set()
+        self._thread.join()
+        for subscriber in (self._rates, self._healths, self._alive):
+            subscriber.undeclare()
+        if self.error is not None:
+            raise self.error
+
+    def running(self) -> bool:
+        """Whether it is still logging."""
+        return self._thread.is_alive()
+
+    def seen(self) -> bool:
+        """Whether any channel has been heard of."""
+        return any(channel.logged for channel in self.channels.values())
+
+    def counts(self) -> dict[str, Any]:
+        """What was logged, in all and per channel."""
+        rows = {n: {"logged": c.logged, "missed": c.missed, "thinned": c.thinned} for n, c in self.channels.items()}
+        us = self.log_s / self.values * 1e6 if self.values else None
+        return {"channels": rows, "values": self.values, "us_per_value": us}
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.wait(BATCH_S) and self.sink.alive():
+                self._tick()
+            self._tick()
+            for channel in self.channels.values():
+                channel.scene.finish()
+                channel.log_history()
+        except Exception as error:  # noqa: BLE001 - handed over to whoever calls stop
+            self.error = error
+
+    def _tick(self) -> None:
+        for event in self._drain(self._alive):
+            if not str(event.kind).endswith("DELETE"):
+                self._unsure.add(_channel_of(event))
+        batches: dict[str, list[bytes]] = defaultdict(list)
+        for sample in self._drain(self._rates):
+            batches[_channel_of(sample)].append(sample.payload.to_bytes())
+        for name in sorted({*batches, *self._unsure}):
+            self._ask(name)
+        for name, payloads in batches.items():
+            self._log(self.channels[name], payloads)
+        for sample in self._drain(self._healths):
+            if (channel := self.channels.get(_channel_of(sample))) is not None:
+                channel.health(json.loads(sample.payload.to_bytes()))
+        self._watch()
+
+    @staticmethod
+    def _drain(subscriber: Any) -> Any:
+        for _ in range(2 * RING):
+            sample = subscriber.try_recv()
+            if sample is None:
+                return
+            yield sample
+
+    def _ask(self, name: str) -> None:
+        """Make the channel if it is new, and learn its layout and models if they are not known."""
+        if name not in self.channels:
+            self.channels[name] = Channel(self.sink, name)
+            self.sink.stream.send_blueprint(live_blueprint(sorted(self.channels), self._window_s))
+            self._unsure.add(name)
+        if name in self._unsure:
+            self._unsure.discard(name)
+            channel = self.channels[name]
+            channel.dtype = self._layout(name)
+            models = self._models(name)
+            channel.scene.swap(models)
+            text = about_models(name, models)
+            self.sink.stream.log(f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True)
+
+    def _query(self, key: str) -> Any:
+        for reply in self.session.get(key, timeout=ANSWER_S):
+            if reply.ok is not None:
+                return json.loads(reply.ok.payload.to_bytes())
+        return None
+
+    def _layout(self, name: str) -> np.dtype[Any]:
+        """The sample's layout as the publisher states it; ours where it does not answer."""
+        layout = self._query(f"{self.prefix}/{name}/schema")
+        if layout is None:
+            return CORRECTED
+        if layout.get("encoding", "struct") != "struct":
+            raise WorkError(
+                f"{self.prefix}/{name}/rate carries {layout['encoding']}; the viewer reads struct: run without --encoding"
+            )
+        names, formats, offsets = zip(*layout["fields"], strict=True)
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout["size"]})
+
+    def _models(self, name: str) -> Sequence[Model]:
+        answer = self._query(f"{self.prefix}/{name}/model")
+        documents = answer if isinstance(answer, list) else [answer]
+        return [parse_model(json.dumps(document), f"model of {name}") for document in documents if document]
+
+    def _log(self, channel: Channel, payloads: list[bytes]) -> None:
+        assert channel.dtype is not None
+        if any(len(payload) != channel.dtype.itemsize for payload in payloads):
+            raise WorkError(f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes")
+        samples = np.frombuffer(b"".join(payloads), channel.dtype)
+        started, logged = time.thread_time(), channel.logged
+        if channel.add(samples):
+            self._unsure.add(channel.name)
+        self.log_s += time.thread_time() - started
+        self.values += 8 * (channel.logged - logged)
+
+    def _watch(self) -> None:
+        now = time.monotonic()
+        for channel in self.channels.values():
+            if channel.running and now - channel.heard > PAUSE_S:
+                channel.pause()
+        if now >= self._history_due:
+            self._history_due = now + HISTORY_EVERY_S
+            for channel in self.channels.values():
+                channel.log_history()
+
+
+def _channel_of(sample: Any) -> str:
+    return str(sample.key_expr).split("/")[-2]
+
+
+

@@ -1,0 +1,188 @@
+"""Where what is logged goes: a window on this machine, a web page on loopback, an .rrd file, or several of them."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.parse
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtcomp.errors import RequestError, WorkError
+from rtcomp.view.rerun_sdk import APPLICATION, load_rerun, quiet_environment, rerun_program
+
+LOOPBACK = "127.0.0.1"
+MEMORY_LIMIT = "512MiB"
+WEB_PORT = 9090
+READY_S = 15.0
+LIVE_ROWS = 1000  # rows per channel and batch of 0.1 s that a screen is given at most
+
+
+@dataclass
+class Sink:
+    """An open recording stream. `rows_per_batch` None means that every row is wanted (a file)."""
+
+    stream: Any
+    rows_per_batch: int | None
+    url: str | None = None
+    viewer: subprocess.Popen[bytes] | None = None
+
+    def alive(self) -> bool:
+        """False once the person has closed the window (or the web server has died)."""
+        return self.viewer is None or self.viewer.poll() is None
+
+
+@contextlib.contextmanager
+def open_sink(
+    *,
+    window: bool = False,
+    web: bool = False,
+    save: str | Path | None = None,
+    bind: str = LOOPBACK,
+    web_port: int = WEB_PORT,
+    memory_limit: str = MEMORY_LIMIT,
+    name: str | None = None,
+) -> Iterator[Sink]:
+    """Open a recording stream to what is asked for; at the end everything is flushed and the file put in place.
+
+    Args:
+        window: a native window; it stays open afterwards.
+        web: rerun's web viewer, served on `bind` and `web_port` (0: any free one) as long as the sink is open.
+        save: an .rrd file, written whole or not at all.
+        bind: address on which viewer and web server listen.
+        web_port: port of the web page.
+        memory_limit: what the viewer may hold before it drops its oldest data (`512MiB`, `25%`).
+        name: the recording's name in the viewer.
+
+    Raises:
+        RequestError: no display, a folder that cannot be written to, a memory limit rerun does not know.
+        WorkError: rerun is not installed or its viewer does not start.
+    """
+    if not (window or web or save is not None):
+        raise RequestError("nothing to show on: wanted a window, --web, or --save FILE.rrd")
+    rr = load_rerun()
+    stream = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4())
+    with contextlib.ExitStack() as stack:
+        sinks: list[Any] = []
+        viewer, url = None, None
+        if window or web:
+            viewer, grpc, url = _start_viewer(web, bind, web_port, memory_limit)
+            if web:
+                stack.callback(_end, viewer)
+            sinks.append(rr.GrpcSink(grpc))
+        if save is not None:
+            sinks.append(rr.FileSink(stack.enter_context(_replacing(Path(save)))))
+        stream.set_sinks(*sinks)
+        stack.callback(_finish, stream)
+        if name:
+            stream.send_recording_name(name)
+        yield Sink(stream, None if not (window or web) else LIVE_ROWS, url, viewer)
+
+
+def _finish(stream: Any) -> None:
+    stream.flush(timeout_sec=5.0)
+    stream.disconnect()
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A file beside `path` that takes its place at the end; after a crash it is what is left."""
+    if path.suffix != ".rrd":
+        raise RequestError(f"--save {path}: wanted a file that ends in .rrd")
+    if not os.access(path.parent, os.W_OK):
+        raise RequestError(f"cannot write {path}; give a file in a folder that exists and can be written to")
+    part = path.with_name(f".{path.stem}.part.rrd")
+    yield part
+    os.replace(part, path)
+
+
+def check_display() -> None:
+    """Raise RequestError where a native window cannot open."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RequestError(
+            "no display here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
+            "use --web and open the page in a browser, or --save FILE.rrd and open the file elsewhere"
+        )
+
+
+def viewer_command(web: bool, bind: str, port: int, web_port: int, memory_limit: str) -> list[str]:
+    """The viewer program's command line."""
+    command = [rerun_program(), "--bind", bind, "--port", str(port), "--server-memory-limit", memory_limit]
+    if web:
+        return [*command, "--serve-web", "--web-viewer-port", str(web_port)]
+    return [*command, "--memory-limit", memory_limit, "--hide-welcome-screen", "--expect-data-soon"]
+
+
+def _start_viewer(web: bool, bind: str, web_port: int, memory_limit: str) -> tuple[Any, str, str | None]:
+    """Start the viewer program; returns it, the address to log to and the page's address (web only)."""
+    if not web:
+        check_display()
+    port, page_port = free_port(bind), free_port(bind, web_port) if web else 0
+    viewer = start_program(viewer_command(web, bind, port, page_port, memory_limit))
+    host = LOOPBACK if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - asked for by the person
+    for listening in (port, page_port) if web else (port,):
+        _wait_until(lambda at=listening: _answers(host, at), viewer)
+    grpc = f"rerun+http://{host}:{port}/proxy"
+    return viewer, grpc, page_address(host, page_port, grpc) if web else None
+
+
+def page_address(host: str, page_port: int, grpc: str) -> str:
+    """The address of the web page that shows what is logged to `grpc`."""
+    return f"http://{host}:{page_port}/?url={urllib.parse.quote(grpc, safe='')}"
+
+
+def start_program(command: list[str]) -> subprocess.Popen[bytes]:
+    """Start rerun's program, its analytics off, in a session of its own so that Ctrl-C reaches only us."""
+    quiet = quiet_environment() | {"RUST_LOG": os.environ.get("RUST_LOG", "error")}
+    return subprocess.Popen(  # noqa: S603 - the program that comes with the package, arguments as a list
+        command, env=quiet, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    )
+
+
+def free_port(bind: str, wanted: int = 0) -> int:
+    """`wanted` if nobody listens there, else any free port.
+
+    Raises RequestError when `bind` is not an address of this machine.
+    """
+    for port in (wanted, 0):
+        with socket.socket(socket.AF_INET6 if ":" in bind else socket.AF_INET) as probe:
+            try:
+                probe.bind((bind, port))
+            except OSError as error:
+                if port == 0:
+                    raise RequestError(f"--bind {bind}: {error.strerror}; give an address of this machine") from error
+                continue
+            return int(probe.getsockname()[1])
+    raise RequestError(f"--bind {bind}: no free port")
+
+
+def _answers(host: str, port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=0.5):
+        return True
+    return False
+
+
+def _wait_until(ready: Callable[[], bool], viewer: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + READY_S
+    while not ready():
+        if viewer.poll() is not None:
+            told = (viewer.stderr.read() if viewer.stderr else b"").decode(errors="replace").strip().splitlines()
+            raise WorkError(f"rerun's viewer ended at once: {told[-1] if told else 'it said nothing'}; try --save FILE.rrd")
+        if time.monotonic() > deadline:
+            _end(viewer)
+            raise WorkError(f"rerun's viewer did not answer within {READY_S:g} s; try --save FILE.rrd")
+        time.sleep(0.05)
+
+
+def _end(viewer: subprocess.Popen[bytes]) -> None:
+    viewer.terminate()
+    try:
+        viewer.wait(timeout=5.0)
+    except subprocess.TimeoutExpired:
+        viewer.kill()
+        viewer.wait()

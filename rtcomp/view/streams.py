@@ -1,0 +1,142 @@
+"""The streams of one channel: rates, errors, correction ± its standard deviation, temperature, flags, health."""
+
+from typing import Any
+
+import numpy as np
+
+from rtcomp.frames import Flag
+from rtcomp.view import colours
+from rtcomp.view.columns import send_scalars, send_states, style_lines
+from rtcomp.view.rerun_sdk import load_rerun
+
+SLOPE_TAU_S = 10.0  # dT/dt is taken from the temperature against its low pass of this time constant
+STATES_PER_BATCH = 20
+GRAVE = Flag.SENSOR_FAULT | Flag.FRAMES_LOST | Flag.BAD_FRAME_BEFORE | Flag.TEMPERATURE_MISSING | Flag.NO_MODEL
+ORANGE, RED = (240, 170, 60, 255), (230, 80, 70, 255)
+SERIES = {
+    "rate": (["raw", "corrected", "reference"], [colours.RAW, colours.CORRECTED, colours.REFERENCE]),
+    "error": (["before", "after"], [colours.RAW, colours.CORRECTED]),
+    "correction": (["+1 σ", "−1 σ", "correction"], [colours.BAND, colours.BAND, colours.REFERENCE]),
+    "temperature": (["temperature"], [colours.TEMPERATURE]),
+    "temperature_rate": (["dT/dt"], [colours.TEMPERATURE]),
+    "latency": (["p50", "p99"], [colours.CORRECTED, colours.RAW]),
+    "losses": (
+        ["lost before us", "lost in our queue", "rejected", "lost on the way here", "thinned here"],
+        [colours.RAW, colours.TEMPERATURE, colours.RULES, colours.CORRECTED, colours.BAND],
+    ),
+    "history/error": (["rms before", "rms after"], [colours.RAW, colours.CORRECTED]),
+    "history/correction": (["correction"], [colours.REFERENCE]),
+    "history/temperature": (["temperature"], [colours.TEMPERATURE]),
+}
+"""Entity → the names and colours of its series."""
+
+
+def error_columns(samples: np.ndarray) -> np.ndarray:
+    """Errors against the reference before and after [°/s], shape `(n, 2)`; NaN without a reference."""
+    reference = samples["ref_rate_dps"]
+    return np.stack([samples["rate_raw_dps"] - reference, samples["rate_dps"] - reference], axis=-1)
+
+
+class ChannelStreams:
+    """Logs one channel under its name. `add` takes CORRECTED arrays in order of time, `health` its 1 Hz document."""
+
+    def __init__(self, stream: Any, name: str) -> None:
+        self.stream, self.name = stream, name
+        self._styled: set[str] = set()
+        self._flags = 0
+        self._seen_flags = 0
+        self._slow: tuple[int, float] | None = None  # time [ns] and low pass [°C] of the temperature
+
+    def add(self, samples: np.ndarray) -> None:
+        """Log a batch, shape `(n,)`, n > 0."""
+        t_ns, errors = samples["t_ns"], error_columns(samples)
+        known = bool(np.isfinite(errors).any())
+        rates = [samples["rate_raw_dps"], samples["rate_dps"]] + ([samples["ref_rate_dps"]] if known else [])
+        self._scalars("rate", t_ns, np.stack(rates, axis=-1))
+        if known:
+            self._scalars("error", t_ns, errors)
+        self._scalars("correction", t_ns, _with_band(samples))
+        self._temperature(samples)
+        self._log_flags(t_ns, samples["flags"])
+
+    def _scalars(self, entity: str, t_ns: np.ndarray, values: np.ndarray) -> None:
+        path = f"{self.name}/{entity}"
+        if entity not in self._styled:
+            self._styled.add(entity)
+            style_lines(self.stream, path, *SERIES[entity])
+        send_scalars(self.stream, path, t_ns, values)
+
+    def _temperature(self, samples: np.ndarray) -> None:
+        """Ten rows a second are enough for temperature."""
+        known = np.flatnonzero(np.isfinite(samples["temp_degC"]))
+        if not len(known):
+            return
+        tenths = samples["t_ns"][known] // 100_000_000
+        rows = samples[known[np.flatnonzero(np.diff(tenths, prepend=tenths[:1] - 1))]]
+        slopes = [self._slope(int(row["t_ns"]), float(row["temp_degC"])) for row in rows]
+        self._scalars("temperature", rows["t_ns"], rows["temp_degC"][:, None])
+        self._scalars("temperature_rate", rows["t_ns"], np.array(slopes)[:, None] * 60.0)
+
+    def _slope(self, t_ns: int, temp: float) -> float:
+        """dT/dt [°C/s] = (T − LP(T))/τ."""
+        last_ns, low = self._slow or (t_ns, temp)
+        elapsed = (t_ns - last_ns) / 1e9
+        low = temp if not 0.0 <= elapsed < 60.0 else low + (temp - low) * -np.expm1(-elapsed / SLOPE_TAU_S)
+        self._slow = (t_ns, low)
+        return (temp - low) / SLOPE_TAU_S
+
+    def _log_flags(self, t_ns: np.ndarray, flags: np.ndarray) -> None:
+        before = np.concatenate([[self._flags], flags[:-1]]).astype(np.uint32)
+        changed = before ^ flags
+        for flag in Flag:
+            turns = np.flatnonzero(changed & np.uint32(flag))
+            if len(turns):
+                self._turn(flag, t_ns[turns], (flags[turns] & np.uint32(flag)) != 0)
+        self._flags = int(flags[-1])
+
+    def _turn(self, flag: Flag, t_ns: np.ndarray, on: np.ndarray) -> None:
+        rr, path = load_rerun(), f"{self.name}/status/{str(flag.name).lower()}"
+        if not self._seen_flags & flag:
+            self._seen_flags |= flag
+            tint = RED if flag & GRAVE else ORANGE
+            self.stream.log(path, rr.StateConfiguration(values=["yes"], labels=[_words(flag)], colors=[tint]), static=True)
+        if len(t_ns) > STATES_PER_BATCH:  # it flutters: shown as on from the first turn to the last
+            t_ns, on = t_ns[[0, -1]], np.array([True, bool(on[-1])])
+        send_states(self.stream, path, t_ns, ["yes" if now else "" for now in on])
+
+    def mark(self, t_ns: int, state: str) -> None:
+        """Log the stream's own state: running, paused, restarted."""
+        send_states(self.stream, f"{self.name}/status/stream", np.array([t_ns]), [state])
+
+    def health(self, t_ns: int, document: dict[str, Any], missed: int, thinned: int) -> None:
+        """Log latency percentiles [µs] and cumulative losses."""
+        when = np.array([t_ns])
+        total = (document.get("stages_us") or {}).get("total")
+        if total:
+            self._scalars("latency", when, np.array([[total["p50"], total["p99"]]]))
+        losses = document.get("losses") or {}
+        rejected = sum((document.get("rejected") or {}).values())
+        row = [losses.get("receiver", 0), losses.get("queue", 0), rejected, missed, thinned]
+        self._scalars("losses", when, np.array([row], float))
+
+    def history(self, t_ns: np.ndarray, means: np.ndarray) -> None:
+        """Log rows of the thinned past: means of squared errors before and after, correction, temperature."""
+        if np.isfinite(means[:, :2]).any():
+            self._scalars("history/error", t_ns, np.sqrt(means[:, :2]))
+        self._scalars("history/correction", t_ns, means[:, 2:3])
+        self._scalars("history/temperature", t_ns, means[:, 3:4])
+
+
+def history_columns(samples: np.ndarray) -> np.ndarray:
+    """What the past is kept as, shape `(n, 4)`: see `ChannelStreams.history`."""
+    slow = np.stack([samples["correction_dps"], samples["temp_degC"]], axis=-1)
+    return np.concatenate([error_columns(samples) ** 2, slow], axis=-1)
+
+
+def _with_band(samples: np.ndarray) -> np.ndarray:
+    correction, sigma = samples["correction_dps"], samples["sigma_dps"].astype(float)
+    return np.stack([correction + sigma, correction - sigma, correction], axis=-1)
+
+
+def _words(flag: Flag) -> str:
+    return str(flag.name).lower().replace("_", " ")
