@@ -7,6 +7,7 @@ import numpy as np
 
 from rtcomp.decode import FLOAT16, FLOAT32, FLOAT64, PAYLOAD, SIGNAL, SIGNED, UNSIGNED, WORD
 from rtcomp.errors import RequestError
+from rtcomp.sources.python_can import import_can
 
 FLOATS = {16: FLOAT16, 32: FLOAT32, 64: FLOAT64}
 EXACT_BITS = 62
@@ -19,6 +20,7 @@ def load_dbc(path: str | Path) -> Any:
 
     Raises RequestError naming the file and what is wrong with it.
     """
+    import_can()  # cantools imports it too, but then with all that its readers need
     import cantools
     from cantools.database import Error, UnsupportedDatabaseFormatError
 

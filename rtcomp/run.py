@@ -124,7 +124,7 @@ class Runner:
         if self.config.bus is not None:
             from rtcomp.sources.bus import open_bus
 
-            self._source = self._resources.enter_context(open_bus(self.config.bus, self.map.filters))
+            self._source = self._resources.enter_context(open_bus(self.config.bus, self.map.filters, self.clock))
         else:
             from rtcomp.sources.logs import read_log
 
