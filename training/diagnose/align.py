@@ -8,7 +8,7 @@ likelihood says which, or that it cannot say.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
+from scipy import optimize, signal
 
 from training.diagnose.design import Domain, Frame, domain
 from training.diagnose.library import ROOM_DEGC
@@ -19,6 +19,8 @@ from training.diagnose.work import FloatArray, Work
 SIGNIFICANT = 30.0
 SECOND = 45.0
 CLASS_COST = 10.0
+SIMPLER = 2.0
+ABOVE_NYQUIST = 0.55  # samples: a shorter delay may be a filter whose corner no sample shows
 MAX_STEPS = 6
 CORNERS = 12
 MAX_ROWS = 1_500_000
@@ -38,14 +40,19 @@ class Timing:
     gains: dict[str, float] = field(default_factory=dict)
     moved: FloatArray = field(default_factory=lambda: np.empty(0))
     change_rms_dps: float = 0.0
+    sample_s: float = 0.0
 
 
-def align(columns: dict[str, FloatArray], residual: FloatArray, ref: Reference, valid: np.ndarray) -> Timing:
-    """Fit the timing of one recording; `residual` (n,) is measured − simulated [dps]."""
+def align(
+    columns: dict[str, FloatArray], residual: FloatArray, ref: Reference, valid: np.ndarray, spread: FloatArray | None = None
+) -> Timing:
+    """Fit the timing of one recording; `residual` (n,) is measured − simulated [dps], `spread` its relative noise."""
     t = columns["t_s"]
     if np.ptp(ref.rate) < 0.5:
         return Timing(moved=ref.rate)
     work = prepare("timing", columns, residual, np.zeros(len(t)), ref.rate, valid, max_blocks=MAX_ROWS)
+    if spread is not None:
+        work.spread = np.sqrt(work.average(spread**2))
     span = t - 0.5 * (t[0] + t[-1])
     base = _Base(work, _static_nuisance(work))
     slope = ref.spline(t, 1)
@@ -55,6 +62,7 @@ def align(columns: dict[str, FloatArray], residual: FloatArray, ref: Reference, 
         timing.moved = ref.rate
         return timing
     _decide(timing, base, t, span, residual, ref)
+    timing.sample_s = float(np.median(np.diff(t)))
     timing.change_rms_dps = float(np.std((timing.moved - ref.rate)[valid]))
     return timing
 
@@ -111,23 +119,25 @@ def _moved_fit(base: _Base, work: Work, t: FloatArray, span: FloatArray, residua
 def _decide(timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference) -> None:
     """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
     only, delay = _delay_only(base, t, residual, ref)
-    bandwidth, corner, poles = _bandwidth(base, t, ref)
+    bandwidth, corner, poles = _bandwidth(base, residual, t, ref)
     both = timing.gains["both"]
     drifts = both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se
     timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": both}
     sampling = 1.0 / float(np.median(np.diff(t)))
     if drifts:
         timing.effects["clock_drift"] = {"clock_ppm": timing.clock_ppm}
-        if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.01:
-            timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}
         timing.moved = ref.moved(t, timing.delay_s + 1e-6 * timing.clock_ppm * span)
+        timing.delay_s += 1e-6 * timing.clock_ppm * float(span[0] - t[0])  # at t = 0, where the drift starts
+        timing.delay_se = float(np.hypot(timing.delay_se, 1e-6 * timing.clock_se * (span[0] - t[0])))
+        if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.02:
+            timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}
         return
     timing.delay_s, timing.clock_ppm = delay, 0.0
     if max(only, bandwidth) < SIGNIFICANT:
         timing.delay_s = 0.0
         timing.moved = ref.rate
         return
-    if bandwidth > only:
+    if bandwidth > only + SIMPLER:
         timing.corner_Hz, timing.poles = corner, poles
         timing.effects["bandwidth"] = {"corner_Hz": corner}
         timing.moved = filtered(ref.rate, sampling, corner, poles)
@@ -139,6 +149,8 @@ def _decide(timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residu
 def rivals(timing: Timing, effect: str) -> dict[str, float]:
     """Timing effects that explain as much as `effect` does, with what they cost."""
     mine = timing.gains[effect]
+    if effect == "timestamp_skew" and 0.0 < timing.delay_s < ABOVE_NYQUIST * timing.sample_s:
+        return {"bandwidth": 0.0}
     pairs = {"timestamp_skew": "bandwidth", "bandwidth": "timestamp_skew"}
     other = pairs.get(effect)
     if other is None or timing.gains.get(other, 0.0) < mine - CLASS_COST:
@@ -157,26 +169,23 @@ def _delay_only(base: _Base, t: FloatArray, residual: FloatArray, ref: Reference
     return gain, delay
 
 
-def _bandwidth(base: _Base, t: FloatArray, ref: Reference) -> tuple[float, float, int]:
+def _bandwidth(base: _Base, residual: FloatArray, t: FloatArray, ref: Reference) -> tuple[float, float, int]:
     """Best low-pass (one or two poles): (gain, corner [Hz], poles)."""
     sampling = 1.0 / float(np.median(np.diff(t)))
     best = (-np.inf, 0.0, 2)
     for poles in (1, 2):
-        corners = list(np.geomspace(0.004 * sampling, 0.42 * sampling, CORNERS))
-        found = [(_corner_gain(base, ref, sampling, c, poles), c) for c in corners]
-        top = max(found)[1]
-        for ratio in (0.8, 0.88, 0.94, 1.06, 1.14, 1.25):
-            if top * ratio < 0.45 * sampling:
-                found.append((_corner_gain(base, ref, sampling, top * ratio, poles), top * ratio))
-        gain, corner = max(found)
-        best = max(best, (gain, corner, poles))
+
+        def loss(log_corner: float, poles: int = poles) -> float:
+            change = filtered(ref.rate, sampling, float(np.exp(log_corner)), poles) - ref.rate
+            return -base.gain([], residual - change)[0]
+
+        grid = np.log(np.geomspace(0.004 * sampling, 0.44 * sampling, CORNERS))
+        losses = [loss(x) for x in grid]
+        at = int(np.argmin(losses))
+        bounds = (grid[max(at - 1, 0)], grid[min(at + 1, CORNERS - 1)])
+        found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 18})
+        best = max(best, (-float(found.fun), float(np.exp(found.x)), poles))
     return best
-
-
-def _corner_gain(base: _Base, ref: Reference, sampling: float, corner: float, poles: int) -> float:
-    """Gain of one corner; its coefficient must be one, so what a free one adds is taken back."""
-    gain, coefficient, errors = base.gain([filtered(ref.rate, sampling, corner, poles) - ref.rate])
-    return gain - min(float(((coefficient[0] - 1.0) / errors[0]) ** 2), max(gain, 0.0))
 
 
 def filtered(rate: FloatArray, sampling: float, corner: float, poles: int) -> FloatArray:

@@ -16,6 +16,7 @@ MIN_IN_BLOCK = 8
 VARIANCE_Z = 6.0
 VARIANCE_SHARE = 0.05
 LINE_LOG_P = -16.0
+WEIGHT_GAIN = 20.0
 LSB_TO_NOISE = 2.5
 
 
@@ -31,50 +32,66 @@ class FastFinding:
     text: str
 
 
-def variance_findings(residual: FloatArray, rate: FloatArray, t: FloatArray, valid: np.ndarray) -> list[FastFinding]:
-    """Multiplicative noise (variance ∝ ω²) and timing jitter (∝ (dω/dt)²) from differences of neighbours."""
+@dataclass
+class VarianceModel:
+    """How the white noise's variance follows the motion: v ∝ 1 + rate·ω² + slope·(dω/dt)²; and what that is called."""
+
+    rate: float = 0.0
+    slope: float = 0.0
+    finding: FastFinding | None = None
+
+    def spread(self, rate: FloatArray, t: FloatArray) -> FloatArray:
+        """Relative standard deviation of the noise per sample, mean square one."""
+        variance = 1.0 + self.rate * rate**2 + self.slope * np.gradient(rate, t) ** 2
+        return np.sqrt(variance / np.mean(variance))
+
+
+def variance_model(residual: FloatArray, rate: FloatArray, t: FloatArray, valid: np.ndarray) -> VarianceModel:
+    """Multiplicative noise (variance ∝ ω²) and timing jitter (∝ (dω/dt)²) from second differences of the residual."""
     if np.ptp(rate) < 1.0 or len(rate) < 500:
-        return []
-    both = valid[1:] & valid[:-1] & valid[np.r_[2 : len(valid), len(valid) - 1]]
-    second = np.zeros(len(residual) - 1)
-    second[:-1] = (residual[2:] - 2.0 * residual[1:-1] + residual[:-2]) / np.sqrt(6.0)
-    both[-1] = False
+        return VarianceModel()
+    second = np.zeros(len(residual) - 2)
+    second[:] = (residual[2:] - 2.0 * residual[1:-1] + residual[:-2]) / np.sqrt(6.0)
+    good = valid[2:] & valid[1:-1] & valid[:-2]
     size = max(MIN_IN_BLOCK, len(second) // BLOCKS)
     slope = np.gradient(rate, t)
     labels = np.arange(len(second)) // size
-    count = np.bincount(labels, weights=both)
+    count = np.bincount(labels, weights=good)
     keep = count >= 0.7 * size
 
     def mean(values: FloatArray) -> FloatArray:
-        return (np.bincount(labels, weights=np.where(both, values, 0.0)) / np.maximum(count, 1.0))[keep]
+        return (np.bincount(labels, weights=np.where(good, values, 0.0)) / np.maximum(count, 1.0))[keep]
 
-    power, drivers = mean(second**2), {"multiplicative_noise": mean(rate[1:] ** 2), "timing_jitter": mean(slope[1:] ** 2)}
+    power = mean(second**2)
+    drivers = {"multiplicative_noise": mean(rate[1:-1] ** 2), "timing_jitter": mean(slope[1:-1] ** 2)}
     if keep.sum() < 60 or not np.any(power > 0.0):
-        return []
-    return _variance_fit(power, drivers, 0.5 * size)
+        return VarianceModel()
+    return _variance_fit(power, drivers, 0.35 * size)
 
 
-def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float) -> list[FastFinding]:
-    fits = {(): _gamma_fit(power, [], dof)}
-    for name, column in drivers.items():
-        fits[name,] = _gamma_fit(power, [column], dof)
-    best = min(drivers, key=lambda name: fits[name,][1])
-    gain = fits[()][1] - fits[best,][1]
-    dispersion = max(1.0, fits[best,][2])
-    weights = fits[best,][0]
-    share = weights[1] * float(np.mean(drivers[best])) / max(float(np.mean(power)), 1e-300)
+def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float) -> VarianceModel:
+    none = _gamma_fit(power, [], dof)
+    fits = {name: _gamma_fit(power, [column], dof) for name, column in drivers.items()}
+    both = _gamma_fit(power, list(drivers.values()), dof)
+    best = min(drivers, key=lambda name: fits[name][1])
+    gain = (none[1] - fits[best][1]) / max(1.0, fits[best][2])
+    share = fits[best][0][1] * float(np.mean(drivers[best])) / max(float(np.mean(power)), 1e-300)
     rank = stats.spearmanr(power, drivers[best])
-    if gain / dispersion < VARIANCE_Z**2 or share < VARIANCE_SHARE or rank.statistic < 0.0 or rank.pvalue > 1e-5:
-        return []
+    if gain < WEIGHT_GAIN or share < VARIANCE_SHARE or rank.statistic < 0.0 or both[0][0] <= 0.0:
+        return VarianceModel()
+    model = VarianceModel(float(both[0][1] / both[0][0]), float(both[0][2] / both[0][0]))
+    if gain < VARIANCE_Z**2 or rank.pvalue > 1e-5:
+        return model
     other = next(name for name in drivers if name != best)
-    cost = (fits[other,][1] - fits[best,][1]) / dispersion
-    value = float(np.sqrt(max(weights[1], 0.0)))
+    cost = (fits[other][1] - fits[best][1]) / max(1.0, fits[best][2])
+    value = float(np.sqrt(max(fits[best][0][1], 0.0)))
     unit, scale, key = ("ppm", 1e6, "sigma_ppm") if best == "multiplicative_noise" else ("s", 1.0, "sigma_s")
-    error = 0.5 * value / np.sqrt(max(gain / dispersion, 1.0))
-    return [FastFinding(
-        best, {key: (value * scale, error * scale, unit)}, float(np.sqrt(max(share, 0.0) * np.mean(power))),
+    error = 0.5 * value / np.sqrt(max(gain, 1.0))
+    model.finding = FastFinding(
+        best, {key: (value * scale, float(error) * scale, unit)}, float(np.sqrt(share * np.mean(power))),
         float(rank.pvalue), {other: cost} if cost < 10.0 else {}, "the variance of the residual follows the motion",
-    )]
+    )
+    return model
 
 
 def _gamma_fit(power: FloatArray, columns: list[FloatArray], dof: float) -> tuple[FloatArray, float, float]:

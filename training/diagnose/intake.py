@@ -6,7 +6,7 @@ import numpy as np
 
 from rtcomp.errors import RequestError
 from training.diagnose.align import Timing, align
-from training.diagnose.fast import FastFinding, line_finding, quantization_finding, variance_findings
+from training.diagnose.fast import FastFinding, VarianceModel, line_finding, quantization_finding, variance_model
 from training.diagnose.integrity import Checked, check
 from training.diagnose.prepare import prepare
 from training.diagnose.reference import Reference, reference, unbiased
@@ -71,13 +71,19 @@ def take_in(recording: Recording, checked: Checked, simulation: Simulation, sett
     quantized = quantization_finding(columns["rate_dps"], left, valid)
     line = line_finding(left, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]
-    if quantized is None:
-        fast += variance_findings(left, found.moved, t, valid)
+    variance = VarianceModel() if quantized is not None else variance_model(left, found.moved, t, valid)
+    if variance.rate + variance.slope > 0.0 and timing is None:
+        found = align(columns, filled, ref, valid, variance.spread(found.moved, t))
+        left = filled - (found.moved - ref.rate)
+    fast += [variance.finding] if variance.finding is not None else []
     driving, noise = unbiased(ref, found.moved, left)
     work = prepare(
         recording.name, columns, left, np.zeros_like(left), driving, valid, power_on_known=settings.power_on_known
     )
-    work.rate_noise_dps = noise
+    lsb = quantized.parameters["lsb_dps"][0] if quantized is not None else 0.0
+    work.rate_noise_dps = max(noise, lsb)
+    if variance.rate + variance.slope > 0.0:
+        work.spread = np.sqrt(work.average(variance.spread(found.moved, t) ** 2))
     return Intake(recording, checked, residual, simulated, ref, found, fast, work, driving)
 
 

@@ -203,11 +203,11 @@ def _frozen(result: Checked) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     starts, ends = edges[::2] - 1, edges[1::2] - 1
     lengths = ends - starts + 1
-    singles = float((lengths == 2).sum())
-    chance = min(0.9, max(singles / max(len(rate), 1), 1.0 / len(rate)))
+    chance = min(0.95, max(float(same.mean()), 1.0 / len(rate)))
     rails = np.abs(rate) >= 0.999 * np.max(np.abs(rate[result.valid]))
     middle = np.median(rate[np.abs(ref) < 0.5]) if np.any(np.abs(ref) < 0.5) else 0.0
-    jitter = 1.4826 * np.median(np.abs(np.diff(rate - ref)))
+    changes = np.diff(rate - ref)[result.valid[1:] & result.valid[:-1]]
+    jitter = max(1.4826 * float(np.median(np.abs(changes))), float(np.quantile(np.abs(changes), 0.9)) / 1.65)
     steps = np.unique(np.abs(np.diff(rate[result.valid])))
     lsb = float(steps[1]) if len(steps) > 1 else 0.0
     chosen = []
@@ -215,7 +215,7 @@ def _frozen(result: Checked) -> None:
         if length < 4 or rails[start] or len(rate) * chance ** (length - 1) > LONG_RUN:
             continue
         moved = float(np.ptp(ref[start : end + 1]))
-        still = moved < 4.0 * jitter + 1.5 * lsb
+        still = moved < 4.0 * jitter + 2.0 * lsb
         near_zero = abs(rate[start] - middle) < 3.0 * lsb + 3.0 * jitter + 1e-9
         if still and (chance > 0.02 or near_zero) and not _sensor_stuck(result, start, end):
             continue

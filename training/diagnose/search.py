@@ -27,7 +27,7 @@ class Null:
 
     def p_value(self, excess: float) -> float:
         """Family-wise p-value of an excess, from the Gumbel law fitted to the surrogate maxima."""
-        return float(-np.expm1(-np.exp(-(excess - self.location) / self.width)))
+        return float(-np.expm1(-np.exp(min(-(excess - self.location) / self.width, 100.0))))
 
     def excess_at(self, p: float) -> float:
         """The excess with family-wise p-value `p`."""

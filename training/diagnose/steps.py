@@ -17,6 +17,7 @@ from training.diagnose.work import FloatArray
 
 GRID = 24
 EDGE = 0.015
+FAINT = 0.01  # a step with less of the best one's norm stands where nothing moves: offset or scale factor again
 
 
 @dataclass
@@ -71,7 +72,8 @@ class Stepper:
         shape = self.group.columns(d.work, {"at_share": 0.0, "recording": float(d.work.index)})[0]
         matched = np.cumsum((back * shape)[::-1])[::-1]
         norm = np.interp((np.arange(len(left)) + 0.5) / len(left), self.shares, self._norms(i, spectrum))
-        return matched**2 / np.maximum(norm, 1e-12 * norm.max() + 1e-300)
+        seen = norm > FAINT * norm.max()
+        return np.where(seen, matched**2 / np.maximum(norm, FAINT * norm.max() + 1e-300), 0.0)
 
 
 def steppers(groups: Sequence[Group], domains: Sequence[Domain]) -> list[Stepper]:

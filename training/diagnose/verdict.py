@@ -32,6 +32,7 @@ from training.effects.catalogue import effect
 CERTAIN = 1e-12
 INTEGRITY = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error", "timing_jitter"})
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
+TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
 EARTH_DPS = 3.0 / 3600.0
 
 
@@ -57,7 +58,9 @@ def findings_of(analysis: Analysis) -> list[Finding]:
     found = [*_integrity(analysis), *_timing(analysis), *_fast(analysis), *_coefficients(analysis), *noise_findings(analysis)]
     found += _physics(analysis)
     if analysis.unknown is not None and analysis.unknown.named and analysis.model is not None:
-        found.append(_unknown(analysis, analysis.unknown, analysis.model))
+        row = _unknown(analysis, analysis.unknown, analysis.model)
+        timing = max((i.timing.change_rms_dps for i in analysis.intakes), default=0.0)
+        found += [row] if row.rms_dps > TIMING_LEFT * timing else []
     return sorted(found, key=lambda f: -f.strength)
 
 
