@@ -1,1 +1,4 @@
-"""The rerun viewer: error surfaces and streams, live from zenoh or from files. `rerun` is imported here only, and late."""
+"""The rerun viewer: error surfaces and streams, live from zenoh or from files.
+
+`rerun` is imported in this package only, and late.
+"""

@@ -34,7 +34,10 @@ def fitting_box(models: Sequence[Model], temp: np.ndarray, rate: np.ndarray, err
     """A box around the models' validity and the samples given (arrays of any length; NaN is left out)."""
     temps = [*(valid_range(models, "temp_degC") or ()), *_ends(temp)]
     rates = [*(valid_range(models, "rate_dps") or ()), *_ends(rate)]
-    spans = (min(temps, default=-40.0), max(temps, default=85.0)), (min(rates, default=-60.0), max(rates, default=60.0))
+    spans = (
+        (min(temps, default=-40.0), max(temps, default=85.0)),
+        (min(rates, default=-60.0), max(rates, default=60.0)),
+    )
     limit = max([float(np.abs(evaluate(models, *spans).error_dps).max())] if models else [0.0])
     measured = np.abs(error[np.isfinite(error)])
     return make_box(*spans, max(limit, float(np.quantile(measured, 0.999)) if len(measured) else 0.0))
@@ -78,6 +81,10 @@ class ChannelScene:
         self._move(samples)
         self._show_measured(int(samples["t_ns"][-1]))
 
+    def prepare(self, samples: np.ndarray) -> None:
+        """Make the scene fit samples that are all known already."""
+        self._build(samples, error_columns(samples))
+
     def swap(self, models: Sequence[Model]) -> None:
         """Show other models from now on."""
         self.models, self.box = list(models), None
@@ -103,7 +110,7 @@ class ChannelScene:
         log_model_scene(self.stream, self.root, self.models, box)
 
     def _move(self, samples: np.ndarray) -> None:
-        assert self.box is not None
+        assert self.box is not None  # noqa: S101
         last = samples[-1]
         left = float(last["rate_dps"] - last["ref_rate_dps"])
         here = Way(
@@ -121,15 +128,14 @@ class ChannelScene:
         log_operating_point(self.stream, self.root, self.box, [*self._trail, here])
 
     def _show_measured(self, t_ns: int) -> None:
-        assert self.box is not None
+        assert self.box is not None  # noqa: S101
         assert self.cells is not None
         if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(self.cells):
             return
         self._due_ns = t_ns + round(self._wait_s * 1e9)
         self._wait_s = min(self._wait_s * SLOWER, SLOWEST_S)
         before, after = self.cells.means()
-        if not self.models:
-            log_tiles(self.stream, f"{self.root}/before/measured", before, self.box)
+        log_tiles(self.stream, f"{self.root}/before/measured", before, self.box)
         log_tiles(self.stream, f"{self.root}/after/measured", after, self.box)
 
     def finish(self) -> None:
@@ -182,14 +188,18 @@ def log_operating_point(stream: Any, root: str, box: Box, way: list[Way]) -> Non
         places = box.place(rows[:, 0], rows[:, 1], error) + np.float32([0.0, 0.0, 4 * LIFT])
         point = rr.Points3D.columns(positions=places[-1:])
         stream.send_columns(f"{root}/{side}/operating_point", indexes=when, columns=point)
-        stream.send_columns(f"{root}/{side}/trail", indexes=when, columns=rr.LineStrips3D.columns(strips=[places]))
+        stream.send_columns(
+            f"{root}/{side}/trail", indexes=when, columns=rr.LineStrips3D.columns(strips=[places])
+        )
 
 
 def style_operating_point(stream: Any, root: str) -> None:
     """Size and colours of the operating point and its trail."""
     rr = load_rerun()
     for side in ("before", "after"):
-        point = rr.Points3D.from_fields(radii=[0.04], colors=[colours.TRAIL], labels=["now"], show_labels=True)
+        point = rr.Points3D.from_fields(
+            radii=[0.04], colors=[colours.TRAIL], labels=["now"], show_labels=True
+        )
         stream.log(f"{root}/{side}/operating_point", point, static=True)
         trail = rr.LineStrips3D.from_fields(radii=[0.01], colors=[colours.TRAIL])
         stream.log(f"{root}/{side}/trail", trail, static=True)

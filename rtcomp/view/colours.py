@@ -11,7 +11,11 @@ CHROMA = 0.17
 HUES_DEG = (255.0, 40.0)  # negative: blue, positive: orange red
 
 _LMS = np.array(
-    [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
+    [
+        [1.0, 0.3963377774, 0.2158037573],
+        [1.0, -0.1055613458, -0.0638541728],
+        [1.0, -0.0894841775, -1.2914855480],
+    ]
 )
 _SRGB = np.array(
     [
@@ -28,6 +32,7 @@ BAND = (110, 125, 165, 255)
 TEMPERATURE = (226, 96, 120, 255)
 TRAIL = (255, 214, 64, 255)
 LINES = (150, 158, 172, 255)
+TEXT = (238, 241, 246, 255)  # readable in both themes of the viewer
 RULES = (186, 120, 235, 255)
 UNMEASURED = (66, 72, 86, 255)
 VALIDITY = (70, 200, 160, 255)
@@ -35,7 +40,9 @@ VALIDITY = (70, 200, 160, 255)
 
 def diverging(values: np.ndarray, limit: float) -> np.ndarray:
     """Colour values of −limit … limit; shape `(..., 4)` uint8 sRGB. What lies beyond gets the end's colour."""
-    scaled = np.clip(np.asarray(values, float) / limit if limit > 0.0 else np.zeros(np.shape(values)), -1.0, 1.0)
+    scaled = np.clip(
+        np.asarray(values, float) / limit if limit > 0.0 else np.zeros(np.shape(values)), -1.0, 1.0
+    )
     scaled = np.nan_to_num(scaled)
     size = np.abs(scaled)
     hue = np.deg2rad(np.where(scaled < 0.0, *HUES_DEG))
@@ -43,4 +50,6 @@ def diverging(values: np.ndarray, limit: float) -> np.ndarray:
     lab = np.stack([LIGHT + (DARK - LIGHT) * size, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
     linear = np.clip((lab @ _LMS.T) ** 3 @ _SRGB.T, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.concatenate([np.rint(encoded * 255.0), np.full((*size.shape, 1), 255.0)], axis=-1).astype(np.uint8)
+    return np.concatenate([np.rint(encoded * 255.0), np.full((*size.shape, 1), 255.0)], axis=-1).astype(
+        np.uint8
+    )

@@ -17,9 +17,11 @@ class Times:
         self._array = pyarrow.array(np.ascontiguousarray(t_ns, np.int64), pyarrow.timestamp("ns"))
 
     def timeline_name(self) -> str:
+        """The timeline's name."""
         return TIMELINE
 
     def as_arrow_array(self) -> Any:
+        """The times."""
         return self._array
 
 
@@ -62,7 +64,9 @@ def send_states(stream: Any, path: str, t_ns: np.ndarray, states: list[str]) -> 
         stream.send_columns(path, indexes=[Times(t_ns)], columns=rr.StateChange.columns(state=states))
 
 
-def style_lines(stream: Any, path: str, names: list[str], colors: list[tuple[int, ...]], width: float = 1.2) -> None:
+def style_lines(
+    stream: Any, path: str, names: list[str], colors: list[tuple[int, ...]], width: float = 1.2
+) -> None:
     """Name and colour the series of an entity."""
     rr = load_rerun()
     stream.log(path, rr.SeriesLines(names=names, colors=colors, widths=[width] * len(names)), static=True)

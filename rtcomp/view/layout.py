@@ -7,7 +7,8 @@ from rtcomp.view.rerun_sdk import TIMELINE, load_rerun
 from rtcomp.view.streams import SERIES
 
 BACKGROUND = (22, 25, 32, 255)
-EYE = (1.75, -2.15, 1.3)
+EYE = (1.75, -2.15, 1.3)  # for views wider than high; narrow ones are seen from further away
+FURTHER = {2: 1.55, 3: 2.2}
 
 
 def live_blueprint(names: Sequence[str], window_s: float | None = 30.0) -> Any:
@@ -21,14 +22,41 @@ def live_blueprint(names: Sequence[str], window_s: float | None = 30.0) -> Any:
 def surfaces_blueprint(names: Sequence[str], titles: Sequence[str] = ("before", "after")) -> Any:
     """The blueprint for surfaces without streams: a model, a paper run."""
     rrb = _blueprint_module()
+    away = FURTHER.get(len(titles), 1.0)
     rows = [
-        rrb.Horizontal(*[_scene_view(f"{name}/surface/{side}", _title(name, side)) for side in titles], name=name)
-        for name in names
+        rrb.Horizontal(
+            *[_scene_view(f"{n}/surface/{side}", _title(n, side), away) for side in titles], name=n
+        )
+        for n in names
     ]
     texts = [rrb.TextDocumentView(origin=f"{name}/about", name=f"{name}: about") for name in names]
-    pages = [rrb.Horizontal(row, text, column_shares=[4, 1], name=row.name) for row, text in zip(rows, texts, strict=True)]
+    pages = [
+        rrb.Horizontal(row, text, column_shares=[4, 1], name=row.name)
+        for row, text in zip(rows, texts, strict=True)
+    ]
     root = pages[0] if len(pages) == 1 else rrb.Tabs(*pages)
     return rrb.Blueprint(root, rrb.TimePanel(state="hidden"), *_closed())
+
+
+def diagnosis_blueprint(names: Sequence[str]) -> Any:
+    """The blueprint of a diagnosis: per recording the mismatch over its drivers and over time; the verdict below."""
+    rrb = _blueprint_module()
+    pages = []
+    for name in names:
+        scenes = [
+            _scene_view(f"{name}/surface/{side}", f"{name}: mismatch {side}") for side in ("before", "after")
+        ]
+        entities = {
+            "error": "mismatch [°/s]",
+            "temperature": "temperature [°C]",
+            "true_rate": "true rate [°/s]",
+        }
+        plots = rrb.Vertical(*[_plot(name, entity, title, None) for entity, title in entities.items()])
+        pages.append(rrb.Horizontal(rrb.Vertical(*scenes), plots, name=name))
+    shown = pages[0] if len(pages) == 1 else rrb.Tabs(*pages) if pages else rrb.Tabs()
+    verdict = rrb.TextDocumentView(origin="verdict", name="verdict")
+    root = rrb.Vertical(shown, verdict, row_shares=[4, 1]) if pages else verdict
+    return rrb.Blueprint(root, rrb.TimePanel(state="collapsed", timeline=TIMELINE), *_closed())
 
 
 def _blueprint_module() -> Any:
@@ -40,7 +68,11 @@ def _blueprint_module() -> Any:
 
 def _closed() -> tuple[Any, ...]:
     rrb = _blueprint_module()
-    return rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), rrb.TopPanel(state="collapsed")
+    return (
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TopPanel(state="collapsed"),
+    )
 
 
 def _sensor_page(name: str, window_s: float | None) -> Any:
@@ -49,38 +81,48 @@ def _sensor_page(name: str, window_s: float | None) -> Any:
         _scene_view(f"{name}/surface/before", _title(name, "before")),
         _scene_view(f"{name}/surface/after", _title(name, "after")),
     )
-    streams = rrb.Vertical(
+    plots = rrb.Grid(
         _plot(name, "rate", "rate [°/s]", window_s),
         _plot(name, "error", "error against the reference [°/s]", window_s),
         _plot(name, "correction", "correction ± σ [°/s]", window_s),
-        rrb.Horizontal(
-            _plot(name, "temperature", "temperature [°C]", window_s),
-            _plot(name, "temperature_rate", "dT/dt [°C/min]", window_s),
-        ),
-        rrb.Tabs(
-            rrb.StateTimelineView(origin=f"{name}/status", name="status"),
-            _plot(name, "latency", "latency [µs]", None),
-            _plot(name, "losses", "losses [samples]", None),
-            _plot(name, "history/error", "whole run: rms error [°/s]", None),
-            _plot(name, "history/correction", "whole run: correction [°/s]", None),
-            _plot(name, "history/temperature", "whole run: temperature [°C]", None),
-            rrb.TextDocumentView(origin=f"{name}/about", name="about"),
-        ),
-        row_shares=[1.2, 1.2, 1, 0.9, 1],
+        _plot(name, "temperature", "temperature [°C]", window_s),
+        _plot(name, "temperature_rate", "dT/dt [°C/min]", window_s),
+        _plot(name, "latency", "latency, frame to published [µs]", None),
+        grid_columns=2,
     )
-    return rrb.Horizontal(surfaces, streams, column_shares=[1.1, 1], name=name)
+    more = rrb.Tabs(
+        rrb.StateTimelineView(origin=f"{name}/status", name="status"),
+        _plot(name, "losses", "losses", None),
+        _plot(name, "history/error", "whole run: rms error [°/s]", None),
+        _plot(name, "history/correction", "correction", None),
+        _plot(name, "history/temperature", "temperature", None),
+        rrb.TextDocumentView(origin=f"{name}/about", name="model"),
+    )
+    streams = rrb.Vertical(plots, more, row_shares=[4, 1.1])
+    return rrb.Horizontal(surfaces, streams, column_shares=[1, 1.15], name=name)
 
 
 def _title(name: str, side: str) -> str:
-    told = {"before": "error before compensation", "after": "error left after compensation"}
+    told = {
+        "before": "error before compensation",
+        "after": "error left after compensation",
+        "magnified": "error left, magnified",
+    }
     return f"{name}: {told.get(side, side)}"
 
 
-def _scene_view(origin: str, title: str) -> Any:
+def _scene_view(origin: str, title: str, away: float = 1.0) -> Any:
     rrb = _blueprint_module()
-    eye = rrb.EyeControls3D(kind="Orbital", position=EYE, look_target=(0.06, -0.02, -0.1), eye_up=(0.0, 0.0, 1.0))
+    eye = rrb.EyeControls3D(
+        kind="Orbital",
+        position=[away * place for place in EYE],
+        look_target=(0.06, -0.02, -0.1),
+        eye_up=(0.0, 0.0, 1.0),
+    )
     hidden = rrb.LineGrid3D(visible=False)
-    return rrb.Spatial3DView(origin=origin, name=title, background=BACKGROUND, line_grid=hidden, eye_controls=eye)
+    return rrb.Spatial3DView(
+        origin=origin, name=title, background=BACKGROUND, line_grid=hidden, eye_controls=eye
+    )
 
 
 def _plot(name: str, entity: str, title: str, window_s: float | None) -> Any:
@@ -93,5 +135,8 @@ def _plot(name: str, entity: str, title: str, window_s: float | None) -> Any:
         options["axis_x"] = rrb.TimeAxis(view_range=rrb.TimeRange(start=past, end=now))
         options["time_ranges"] = rrb.VisibleTimeRange(TIMELINE, start=past, end=now)
     return rrb.TimeSeriesView(
-        origin=f"{name}/{entity}", name=title, plot_legend=rrb.PlotLegend(corner="LeftTop", visible=several), **options
+        origin=f"{name}/{entity}",
+        name=title,
+        plot_legend=rrb.PlotLegend(corner="LeftTop", visible=several),
+        **options,
     )

@@ -63,7 +63,9 @@ class Channel:
         return anew
 
     def _count(self, seq: np.ndarray) -> bool:
-        steps = np.diff(seq.astype(np.int64), prepend=int(seq[0]) if self._next_seq is None else self._next_seq - 1)
+        steps = np.diff(
+            seq.astype(np.int64), prepend=int(seq[0]) if self._next_seq is None else self._next_seq - 1
+        )
         if self._next_seq is None:
             steps[0] = 1
         self.missed += int((steps[steps > 1] - 1).sum())
@@ -113,7 +115,9 @@ class Viewer:
         ring = zenoh.handlers.RingChannel
         self._rates = self.session.declare_subscriber(f"{self.prefix}/*/rate", ring(RING))
         self._healths = self.session.declare_subscriber(f"{self.prefix}/*/health", ring(256))
-        self._alive = self.session.liveliness().declare_subscriber(f"{self.prefix}/*/alive", ring(64), history=True)
+        self._alive = self.session.liveliness().declare_subscriber(
+            f"{self.prefix}/*/alive", ring(64), history=True
+        )
         self._thread.start()
 
     def stop(self) -> None:
@@ -138,7 +142,10 @@ class Viewer:
 
     def counts(self) -> dict[str, Any]:
         """What was logged, in all and per channel."""
-        rows = {n: {"logged": c.logged, "missed": c.missed, "thinned": c.thinned} for n, c in self.channels.items()}
+        rows = {
+            n: {"logged": c.logged, "missed": c.missed, "thinned": c.thinned}
+            for n, c in self.channels.items()
+        }
         us = self.log_s / self.values * 1e6 if self.values else None
         return {"channels": rows, "values": self.values, "us_per_value": us}
 
@@ -190,7 +197,9 @@ class Viewer:
             models = self._models(name)
             channel.scene.swap(models)
             text = about_models(name, models)
-            self.sink.stream.log(f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True)
+            self.sink.stream.log(
+                f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True
+            )
 
     def _query(self, key: str) -> Any:
         for reply in self.session.get(key, timeout=ANSWER_S):
@@ -218,7 +227,9 @@ class Viewer:
     def _log(self, channel: Channel, payloads: list[bytes]) -> None:
         assert channel.dtype is not None
         if any(len(payload) != channel.dtype.itemsize for payload in payloads):
-            raise WorkError(f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes")
+            raise WorkError(
+                f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes"
+            )
         samples = np.frombuffer(b"".join(payloads), channel.dtype)
         started, logged = time.thread_time(), channel.logged
         if channel.add(samples):
@@ -239,6 +250,3 @@ class Viewer:
 
 def _channel_of(sample: Any) -> str:
     return str(sample.key_expr).split("/")[-2]
-
-
-

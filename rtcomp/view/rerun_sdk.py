@@ -22,7 +22,9 @@ def load_rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise WorkError(f"the viewer needs rerun, which cannot be imported ({error}); pip install rerun-sdk") from error
+        raise WorkError(
+            f"the viewer needs rerun, which cannot be imported ({error}); pip install rerun-sdk"
+        ) from error
     return rerun
 
 
@@ -38,7 +40,9 @@ def rerun_program() -> str:
             return str(program)
     found = shutil.which("rerun")
     if found is None:
-        raise WorkError("the program rerun is not installed beside its package; pip install --force-reinstall rerun-sdk")
+        raise WorkError(
+            "the program rerun is not installed beside its package; pip install --force-reinstall rerun-sdk"
+        )
     return found
 
 

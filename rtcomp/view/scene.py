@@ -28,7 +28,9 @@ class Box:
             (np.asarray(rate_dps, float), self.rate_dps, SIDE),
             (np.asarray(error_dps, float), (-self.limit_dps, self.limit_dps), HEIGHT),
         )
-        placed = [np.clip((v - low) / (high - low) - 0.5, -0.5, 0.5) * length for v, (low, high), length in axes]
+        placed = [
+            np.clip((v - low) / (high - low) - 0.5, -0.5, 0.5) * length for v, (low, high), length in axes
+        ]
         return np.stack(np.broadcast_arrays(*placed), axis=-1).astype(np.float32)
 
 
@@ -52,7 +54,11 @@ def _round_up(value: float) -> float:
     if not math.isfinite(value) or value <= 0.0:
         return 1e-3
     power = 10.0 ** math.floor(math.log10(value))
-    return next(power * k for k in (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if value <= power * k * (1 + 1e-9))
+    return next(
+        power * k
+        for k in (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+        if value <= power * k * (1 + 1e-9)
+    )
 
 
 def ticks(low: float, high: float) -> np.ndarray:
@@ -69,7 +75,9 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
     posts = [box.place([t, t], [w, w], [-e, e]) for t, w in ((t0, w1), (t0, w0), (t1, w1))]
     walls = [box.place([t0, t0, t1], [w0, w1, w1], [z] * 3) for z in (0.0, e)]
     stream.log(
-        f"{path}/frame", rr.LineStrips3D([floor, *posts, *walls], colors=[colours.LINES], radii=[-0.7]), static=True
+        f"{path}/frame",
+        rr.LineStrips3D([floor, *posts, *walls], colors=[colours.LINES], radii=[-0.7]),
+        static=True,
     )
     temp, rate, error = ticks(t0, t1), ticks(w0, w1), ticks(-e, e)
     inset = 0.09  # labels stand off the box, so that they do not cover the surface
@@ -85,7 +93,7 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
     positions = np.concatenate([np.atleast_2d(place) for place in places])
     stream.log(
         f"{path}/labels",
-        rr.Points3D(positions, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.LINES]),
+        rr.Points3D(positions, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.TEXT]),
         static=True,
     )
     _log_legend(stream, f"{path}/legend", box)
@@ -96,12 +104,20 @@ def _log_legend(stream: Any, path: str, box: Box, steps: int = 33) -> None:
     rr = load_rerun()
     levels = np.linspace(-1.0, 1.0, steps)
     left = np.stack([np.full(steps, SIDE / 2), np.full(steps, SIDE / 2 + 0.12), levels * HEIGHT / 2], axis=-1)
-    right = left + [0.12, 0.0, 0.0]
+    right = left + np.array([0.12, 0.0, 0.0])
     k = np.arange(steps - 1)
-    faces = np.concatenate([np.stack([k, k + 1, k + steps], -1), np.stack([k + 1, k + steps + 1, k + steps], -1)])
+    faces = np.concatenate(
+        [np.stack([k, k + 1, k + steps], -1), np.stack([k + 1, k + steps + 1, k + steps], -1)]
+    )
     tint = colours.diverging(np.tile(levels, 2), 1.0)
-    mesh = rr.Mesh3D(vertex_positions=np.concatenate([left, right]), triangle_indices=faces, vertex_colors=tint)
+    mesh = rr.Mesh3D(
+        vertex_positions=np.concatenate([left, right]), triangle_indices=faces, vertex_colors=tint
+    )
     stream.log(f"{path}/bar", mesh, static=True)
     texts = [f"{v * box.limit_dps:+.3g} °/s" if v else "0" for v in (-1.0, 0.0, 1.0)]
     ends = np.float32([[SIDE / 2 + 0.3, SIDE / 2 + 0.12, v * HEIGHT / 2] for v in (-1, 0, 1)])
-    stream.log(f"{path}/scale", rr.Points3D(ends, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.LINES]), static=True)
+    stream.log(
+        f"{path}/scale",
+        rr.Points3D(ends, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.TEXT]),
+        static=True,
+    )

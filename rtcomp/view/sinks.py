@@ -8,12 +8,13 @@ import sys
 import time
 import urllib.parse
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rtcomp.errors import RequestError, WorkError
+from rtcomp.view.page import serve_page
 from rtcomp.view.rerun_sdk import APPLICATION, load_rerun, quiet_environment, rerun_program
 
 LOOPBACK = "127.0.0.1"
@@ -35,6 +36,15 @@ class Sink:
     def alive(self) -> bool:
         """False once the person has closed the window (or the web server has died)."""
         return self.viewer is None or self.viewer.poll() is None
+
+
+class Web(NamedTuple):
+    """A served web viewer: its process, where to log to, the page's address, and what ends it."""
+
+    viewer: subprocess.Popen[bytes]
+    grpc: str
+    url: str
+    end: Callable[[], None]
 
 
 @contextlib.contextmanager
@@ -71,9 +81,12 @@ def open_sink(
         sinks: list[Any] = []
         viewer, url = None, None
         if window or web:
-            viewer, grpc, url = _start_viewer(web, bind, web_port, memory_limit)
             if web:
-                stack.callback(_end, viewer)
+                served = start_web(bind, web_port, memory_limit)
+                stack.callback(served.end)
+                viewer, grpc, url = served.viewer, served.grpc, served.url
+            else:
+                viewer, grpc = start_window(bind, memory_limit)
             sinks.append(rr.GrpcSink(grpc))
         if save is not None:
             sinks.append(rr.FileSink(stack.enter_context(_replacing(Path(save)))))
@@ -103,7 +116,9 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 def check_display() -> None:
     """Raise RequestError where a native window cannot open."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
         raise RequestError(
             "no display here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
             "use --web and open the page in a browser, or --save FILE.rrd and open the file elsewhere"
@@ -118,17 +133,43 @@ def viewer_command(web: bool, bind: str, port: int, web_port: int, memory_limit:
     return [*command, "--memory-limit", memory_limit, "--hide-welcome-screen", "--expect-data-soon"]
 
 
-def _start_viewer(web: bool, bind: str, web_port: int, memory_limit: str) -> tuple[Any, str, str | None]:
-    """Start the viewer program; returns it, the address to log to and the page's address (web only)."""
-    if not web:
-        check_display()
-    port, page_port = free_port(bind), free_port(bind, web_port) if web else 0
-    viewer = start_program(viewer_command(web, bind, port, page_port, memory_limit))
-    host = LOOPBACK if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - asked for by the person
-    for listening in (port, page_port) if web else (port,):
-        _wait_until(lambda at=listening: _answers(host, at), viewer)
-    grpc = f"rerun+http://{host}:{port}/proxy"
-    return viewer, grpc, page_address(host, page_port, grpc) if web else None
+def start_window(bind: str, memory_limit: str) -> tuple[Any, str]:
+    """Start the viewer program with a window; returns it and the address to log to."""
+    check_display()
+    port = free_port(bind)
+    viewer = start_program(viewer_command(False, bind, port, 0, memory_limit))
+    host = reachable(bind)
+    _wait_until(lambda: _answers(host, port), viewer)
+    return viewer, stream_address(host, port)
+
+
+def start_web(bind: str, web_port: int, memory_limit: str, files: Sequence[str] = ()) -> Web:
+    """Serve the web viewer, fed by a stream (or by files), on a page of ours."""
+    host = reachable(bind)
+    port, inner = free_port(bind), free_port(LOOPBACK)
+    command = viewer_command(True, bind, port, inner, memory_limit)
+    viewer = start_program([*command, *files])
+    for at, listening in ((host, port), (host, inner)):
+        _wait_until(lambda at=at, listening=listening: _answers(at, listening), viewer)
+    page = free_port(bind, web_port)
+    end_page = serve_page(bind, page, f"http://{host}:{inner}", f"http://{host}:{port}")
+
+    def end() -> None:
+        end_page()
+        _end(viewer)
+
+    grpc = stream_address(host, port)
+    return Web(viewer, grpc, page_address(host, page, grpc), end)
+
+
+def reachable(bind: str) -> str:
+    """An address at which what listens on `bind` is reached from this machine."""
+    return LOOPBACK if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - asked for by the person
+
+
+def stream_address(host: str, port: int) -> str:
+    """The address to log to."""
+    return f"rerun+http://{host}:{port}/proxy"
 
 
 def page_address(host: str, page_port: int, grpc: str) -> str:
@@ -140,7 +181,12 @@ def start_program(command: list[str]) -> subprocess.Popen[bytes]:
     """Start rerun's program, its analytics off, in a session of its own so that Ctrl-C reaches only us."""
     quiet = quiet_environment() | {"RUST_LOG": os.environ.get("RUST_LOG", "error")}
     return subprocess.Popen(  # noqa: S603 - the program that comes with the package, arguments as a list
-        command, env=quiet, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+        command,
+        env=quiet,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
     )
 
 
@@ -155,7 +201,9 @@ def free_port(bind: str, wanted: int = 0) -> int:
                 probe.bind((bind, port))
             except OSError as error:
                 if port == 0:
-                    raise RequestError(f"--bind {bind}: {error.strerror}; give an address of this machine") from error
+                    raise RequestError(
+                        f"--bind {bind}: {error.strerror}; give an address of this machine"
+                    ) from error
                 continue
             return int(probe.getsockname()[1])
     raise RequestError(f"--bind {bind}: no free port")
@@ -171,8 +219,12 @@ def _wait_until(ready: Callable[[], bool], viewer: subprocess.Popen[bytes]) -> N
     deadline = time.monotonic() + READY_S
     while not ready():
         if viewer.poll() is not None:
-            told = (viewer.stderr.read() if viewer.stderr else b"").decode(errors="replace").strip().splitlines()
-            raise WorkError(f"rerun's viewer ended at once: {told[-1] if told else 'it said nothing'}; try --save FILE.rrd")
+            told = (
+                (viewer.stderr.read() if viewer.stderr else b"").decode(errors="replace").strip().splitlines()
+            )
+            raise WorkError(
+                f"rerun's viewer ended at once: {told[-1] if told else 'it said nothing'}; try --save FILE.rrd"
+            )
         if time.monotonic() > deadline:
             _end(viewer)
             raise WorkError(f"rerun's viewer did not answer within {READY_S:g} s; try --save FILE.rrd")

@@ -1,5 +1,6 @@
 """The streams of one channel: rates, errors, correction ± its standard deviation, temperature, flags, health."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from rtcomp.view.rerun_sdk import load_rerun
 
 SLOPE_TAU_S = 10.0  # dT/dt is taken from the temperature against its low pass of this time constant
 STATES_PER_BATCH = 20
-GRAVE = Flag.SENSOR_FAULT | Flag.FRAMES_LOST | Flag.BAD_FRAME_BEFORE | Flag.TEMPERATURE_MISSING | Flag.NO_MODEL
+GRAVE = (
+    Flag.SENSOR_FAULT | Flag.FRAMES_LOST | Flag.BAD_FRAME_BEFORE | Flag.TEMPERATURE_MISSING | Flag.NO_MODEL
+)
+GREEN = (60, 150, 90, 255)
 ORANGE, RED = (240, 170, 60, 255), (230, 80, 70, 255)
 SERIES = {
     "rate": (["raw", "corrected", "reference"], [colours.RAW, colours.CORRECTED, colours.REFERENCE]),
@@ -24,11 +28,20 @@ SERIES = {
         ["lost before us", "lost in our queue", "rejected", "lost on the way here", "thinned here"],
         [colours.RAW, colours.TEMPERATURE, colours.RULES, colours.CORRECTED, colours.BAND],
     ),
+    "true_rate": (["true rate"], [colours.REFERENCE]),
     "history/error": (["rms before", "rms after"], [colours.RAW, colours.CORRECTED]),
     "history/correction": (["correction"], [colours.REFERENCE]),
     "history/temperature": (["temperature"], [colours.TEMPERATURE]),
 }
 """Entity → the names and colours of its series."""
+
+CURVES = {
+    "error_before_dps": ("error", "before"),
+    "error_after_dps": ("error", "after"),
+    "temperature_degC": ("temperature", ""),
+    "true_rate_dps": ("true_rate", ""),
+}
+"""Curves of a diagnosis → the entity, and the series in it."""
 
 
 def error_columns(samples: np.ndarray) -> np.ndarray:
@@ -99,13 +112,19 @@ class ChannelStreams:
         if not self._seen_flags & flag:
             self._seen_flags |= flag
             tint = RED if flag & GRAVE else ORANGE
-            self.stream.log(path, rr.StateConfiguration(values=["yes"], labels=[_words(flag)], colors=[tint]), static=True)
+            self.stream.log(
+                path, rr.StateConfiguration(values=["yes"], labels=[_words(flag)], colors=[tint]), static=True
+            )
         if len(t_ns) > STATES_PER_BATCH:  # it flutters: shown as on from the first turn to the last
             t_ns, on = t_ns[[0, -1]], np.array([True, bool(on[-1])])
         send_states(self.stream, path, t_ns, ["yes" if now else "" for now in on])
 
     def mark(self, t_ns: int, state: str) -> None:
-        """Log the stream's own state: running, paused, restarted."""
+        """Log the stream's own state: running or paused."""
+        if "status" not in self._styled:
+            self._styled.add("status")
+            look = load_rerun().StateConfiguration(values=["running", "paused"], colors=[GREEN, ORANGE])
+            self.stream.log(f"{self.name}/status/stream", look, static=True)
         send_states(self.stream, f"{self.name}/status/stream", np.array([t_ns]), [state])
 
     def health(self, t_ns: int, document: dict[str, Any], missed: int, thinned: int) -> None:
@@ -118,6 +137,18 @@ class ChannelStreams:
         rejected = sum((document.get("rejected") or {}).values())
         row = [losses.get("receiver", 0), losses.get("queue", 0), rejected, missed, thinned]
         self._scalars("losses", when, np.array([row], float))
+
+    def curves(self, curves: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> None:
+        """Log curves of a diagnosis: quantity → (t_s, values), both `(n,)`; absent ones are left out."""
+        for quantity, (entity, column) in CURVES.items():
+            if quantity not in curves:
+                continue
+            t_s, values = curves[quantity]
+            path = f"{self.name}/{entity}" + (f"/{column}" if column else "")
+            names, tints = SERIES[entity]
+            k = names.index(column) if column else 0
+            style_lines(self.stream, path, [names[k]], [tints[k]])
+            send_scalars(self.stream, path, np.rint(t_s * 1e9).astype(np.int64), values[:, None])
 
     def history(self, t_ns: np.ndarray, means: np.ndarray) -> None:
         """Log rows of the thinned past: means of squared errors before and after, correction, temperature."""

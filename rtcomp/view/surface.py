@@ -41,7 +41,9 @@ def log_surface(stream: Any, path: str, grid: Grid, box: Box, plain: tuple[int, 
     mesh = rr.Mesh3D(
         vertex_positions=points.reshape(-1, 3),
         triangle_indices=_faces(np.isfinite(grid.error_dps)),
-        vertex_colors=colours.diverging(known.ravel(), box.limit_dps) if plain is None else [plain] * known.size,
+        vertex_colors=colours.diverging(known.ravel(), box.limit_dps)
+        if plain is None
+        else [plain] * known.size,
     )
     stream.log(f"{path}/mesh", mesh, static=True)
     raised = points + np.float32([0.0, 0.0, LIFT])
@@ -74,10 +76,12 @@ def log_tiles(stream: Any, path: str, grid: Grid, box: Box) -> None:
     error = grid.error_dps[i, j]
     half_T, half_w = _half_step(grid.temp_degC), _half_step(grid.rate_dps)
     signs = ((-1, -1), (1, -1), (-1, 1), (1, 1))
-    corners = [box.place(grid.temp_degC[i] + s * half_T, grid.rate_dps[j] + r * half_w, error) for s, r in signs]
+    corners = [
+        box.place(grid.temp_degC[i] + s * half_T, grid.rate_dps[j] + r * half_w, error) for s, r in signs
+    ]
     raised = np.stack(corners, axis=1).reshape(-1, 3) + np.float32([0.0, 0.0, 3 * LIFT])
     start = 4 * np.arange(len(error))[:, None]
-    faces = np.concatenate([start + [0, 1, 2], start + [1, 3, 2]]).astype(np.uint32)
+    faces = np.concatenate([start + np.array(corner) for corner in ((0, 1, 2), (1, 3, 2))]).astype(np.uint32)
     mesh = rr.Mesh3D(
         vertex_positions=raised,
         triangle_indices=faces,
@@ -107,13 +111,18 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     floor = -box.limit_dps
-    rings = [box.place(*(c + circle * s).T, floor) + np.float32([0, 0, LIFT]) for c, s in zip(centers, widths, strict=True)]
+    rings = [
+        box.place(*(c + circle * s).T, floor) + np.float32([0, 0, LIFT])
+        for c, s in zip(centers, widths, strict=True)
+    ]
     T, w = np.clip(centers, [box.temp_degC[0], box.rate_dps[0]], [box.temp_degC[1], box.rate_dps[1]]).T
     height = predict(list(models), w, T).error_dps
     tops = box.place(T, w, height)
     stems = np.stack([box.place(T, w, floor), tops], axis=1)
     stream.log(f"{path}/widths", rr.LineStrips3D(rings, colors=[colours.RULES], radii=[-0.8]), static=True)
-    stream.log(f"{path}/stems", rr.LineStrips3D(list(stems), colors=[colours.RULES], radii=[-0.4]), static=True)
+    stream.log(
+        f"{path}/stems", rr.LineStrips3D(list(stems), colors=[colours.RULES], radii=[-0.4]), static=True
+    )
     names = [f"rule {k + 1}" for k in range(len(tops))]
     dots = rr.Points3D(tops, colors=[colours.RULES], radii=[0.025], labels=names, show_labels=False)
     stream.log(f"{path}/centers", dots, static=True)
