@@ -18,6 +18,7 @@ class RunConfig(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     map: str = "fog"
     dbc: str | None = None
     model: list[str] = []  # FILE for every channel, or CHANNEL=FILE; several of one channel add up
+    trust: list[str] = []  # public keys; given any, only models signed by one of them are taken
     sensor: str | None = None  # serial number of the sensor; a model of another one is refused
     zenoh: str | None = None  # configuration file, or "local"
     prefix: str = "rtcomp"

@@ -2,15 +2,13 @@
 
 import hashlib
 import json
-import math
-import os
-import tempfile
-from itertools import pairwise
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
+from rtcomp.atomic import write_atomically
 from rtcomp.errors import RequestError
 
 SCHEMA = "rtcomp.model/1"
@@ -25,6 +23,8 @@ INPUTS = (
 """What a rule may depend on, in the order in which the compiled step holds them."""
 MAX_INPUTS = 4
 MAX_RULES = 1024
+MAX_TERMS = 256
+MAX_TABLE = 4096  # numbers of one table: polynomial coefficients, knots, residual regions
 MAX_BYTES = 16 * 2**20
 NOT_HASHED = ("sha256", "signature")
 
@@ -100,12 +100,17 @@ def new_model(**fields: Any) -> Model:
     return parse_model(json.dumps(msgspec.to_builtins(model)), "model")
 
 
-def load_model(path: str | Path) -> Model:
-    """Read and check a model file.
+def load_model(path: str | Path, trust: Sequence[Any] = ()) -> Model:
+    """Read and check a model file; with `trust` (public keys) only one that is signed by one of them.
 
     Raises RequestError naming the file and the reason.
     """
-    return parse_model(_read(Path(path)), str(path))
+    return parse_model(_read(Path(path)), str(path), trust)
+
+
+def read_document(path: str | Path) -> dict[str, Any]:
+    """A model file's JSON object, not yet checked for what is in it."""
+    return _parse_json(_read(Path(path)), str(path))
 
 
 def _read(path: Path) -> str:
@@ -123,8 +128,10 @@ def _read(path: Path) -> str:
         raise RequestError(f"{path}: not UTF-8 text; a model file is JSON (see `rtcomp train`)") from error
 
 
-def parse_model(text: str, name: str) -> Model:
-    """Check the text of a model file; `name` goes into messages."""
+def parse_model(text: str, name: str, trust: Sequence[Any] = ()) -> Model:
+    """Check the text of a model file; `name` goes into messages, `trust` are the public keys it is held to."""
+    from rtcomp.model_checks import check_model
+
     document = _parse_json(text, name)
     version = document.get("schema")
     if version != SCHEMA:
@@ -138,7 +145,11 @@ def parse_model(text: str, name: str) -> Model:
             f"{name}: sha256 does not match its contents, the file was changed after sealing; "
             f"restore it, or `rtcomp model {name} --seal` if the change is meant"
         )
-    _check(model, name)
+    if trust:
+        from rtcomp.signing import check_signature
+
+        check_signature(canonical(document), model.signature, trust, name)
+    check_model(model, name)
     return model
 
 
@@ -177,9 +188,13 @@ def seal_model(path: str | Path) -> Model:
 
     Raises RequestError for anything that is not a model.
     """
-    document = _parse_json(_read(Path(path)), str(path))
+    return write_sealed(read_document(path), path)
+
+
+def write_sealed(document: dict[str, Any], path: str | Path, **marks: str) -> Model:
+    """Write a model's document with its hash and other `marks` (a signature) in place of what it had."""
     sealed = {key: value for key, value in document.items() if key not in NOT_HASHED}
-    sealed["sha256"] = document_hash(document)
+    sealed |= {"sha256": document_hash(document)} | marks
     model = parse_model(json.dumps(sealed), str(path))
     write_document(sealed, path)
     return model
@@ -195,36 +210,6 @@ def write_document(document: dict[str, Any], path: str | Path) -> None:
     write_atomically(
         path, (json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
     )
-
-
-def write_atomically(path: str | Path, content: bytes) -> None:
-    """Write a file so that a reader sees the old one or the new one, whole.
-
-    Raises RequestError when the folder cannot be written to.
-    """
-    path = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise RequestError(
-            f"cannot write {path}: {error.strerror}; give a file in a folder that exists"
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
-        raise RequestError(f"cannot write {path}: {error.strerror}") from error
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _parse_json(text: str, name: str) -> dict[str, Any]:
@@ -248,82 +233,3 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(constant: str) -> None:
     raise ValueError(f"{constant} is not a finite number")
-
-
-def _check(model: Model, name: str) -> None:
-    """What a type cannot say: finite numbers, shapes, known names."""
-    from rtcomp.terms import check_term
-
-    _check_finite(msgspec.to_builtins(model), name)
-    _check_inputs(model, name)
-    _check_rules(model, name)
-    _check_validity(model, name)
-    _check_residual(model, name)
-    for term in model.terms:
-        check_term(term.effect, term.parameters, name)
-
-
-def _check_finite(value: Any, where: str) -> None:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise RequestError(f"{where}: {value} is not a finite number; every number of a model is finite")
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _check_finite(item, f"{where}: {key}")
-    elif isinstance(value, list | tuple):
-        for item in value:
-            _check_finite(item, where)
-
-
-def _check_inputs(model: Model, name: str) -> None:
-    unknown = [item for item in (*model.inputs, *model.validity, *model.filters) if item not in INPUTS]
-    if unknown:
-        raise RequestError(f"{name}: unknown input {unknown[0]!r}; known are {', '.join(INPUTS)}")
-    if len(set(model.inputs)) != len(model.inputs):
-        raise RequestError(f"{name}: an input is named twice in {model.inputs}")
-    if model.rules.centers and not 1 <= len(model.inputs) <= MAX_INPUTS:
-        raise RequestError(f"{name}: {len(model.inputs)} inputs; rules take 1 to {MAX_INPUTS}")
-    if any(tau <= 0 for tau in model.filters.values()):
-        raise RequestError(f"{name}: a filter's time constant must be above 0 s, got {model.filters}")
-
-
-def _check_rules(model: Model, name: str) -> None:
-    rules, n = model.rules, len(model.inputs)
-    count = len(rules.centers)
-    if count > MAX_RULES:
-        raise RequestError(f"{name}: {count} rules; at most {MAX_RULES}")
-    for key, columns in (("centers", n), ("widths", n), ("consequents", n + 1)):
-        rows = getattr(rules, key)
-        shape = (len(rows), sorted({len(row) for row in rows}))
-        if len(rows) != count or any(len(row) != columns for row in rows):
-            raise RequestError(
-                f"{name}: rules.{key} has {shape[0]} rows of {shape[1]}, wanted {count} of {columns}"
-            )
-    if any(width <= 0 for row in rules.widths for width in row):
-        raise RequestError(f"{name}: rules.widths must all be above 0")
-
-
-def _check_validity(model: Model, name: str) -> None:
-    for key, (low, high) in model.validity.items():
-        if low > high:
-            raise RequestError(f"{name}: validity.{key} is [{low}, {high}]; low must not exceed high")
-
-
-def _check_residual(model: Model, name: str) -> None:
-    residual = model.residual_std_dps
-    if isinstance(residual, float) and residual < 0:
-        raise RequestError(f"{name}: residual_std_dps is {residual}; a standard deviation is not negative")
-    if not isinstance(residual, ResidualTable):
-        return
-    rows, columns = len(residual.temp_degC) - 1, len(residual.rate_dps) - 1
-    if (
-        rows < 1
-        or columns < 1
-        or len(residual.std_dps) != rows
-        or any(len(r) != columns for r in residual.std_dps)
-    ):
-        raise RequestError(
-            f"{name}: residual_std_dps.std_dps must have {rows} rows of {columns}: one per region"
-        )
-    for edges in (residual.temp_degC, residual.rate_dps):
-        if any(b <= a for a, b in pairwise(edges)):
-            raise RequestError(f"{name}: residual_std_dps: edges must rise, got {edges}")

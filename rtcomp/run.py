@@ -5,7 +5,7 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,13 @@ SLOW_COMPILE_S = 1.5
 WAIT_SUBSCRIBER_S = 2.0
 
 
-def load_stacks(models: list[str], names: tuple[str, ...], sensor: str | None) -> dict[str, list[Model]]:
+def load_stacks(
+    models: list[str], names: tuple[str, ...], sensor: str | None, trust: Sequence[Any] = ()
+) -> dict[str, list[Model]]:
     """Read `FILE` (for every channel) and `CHANNEL=FILE` into a stack per channel.
 
-    Raises RequestError for a channel the map does not have or a model of another sensor.
+    Raises RequestError for a channel the map does not have, a model of another sensor, or one signed by none of
+    the public keys in `trust` (where there are any).
     """
     stacks: dict[str, list[Model]] = {}
     for item in models:
@@ -44,11 +47,20 @@ def load_stacks(models: list[str], names: tuple[str, ...], sensor: str | None) -
                     f"--model {item}: the map has no channel {channel!r}, only {', '.join(names)}"
                 )
             channel, path = "", item
-        model = load_model(path)
+        model = load_model(path, trust)
         check_sensor(model, sensor, path)
         for name in [channel] if channel else names:
             stacks.setdefault(name, []).append(model)
     return stacks
+
+
+def _public_keys(paths: list[str]) -> Sequence[Any]:
+    """The keys to hold models to; cryptography is loaded only where there are any."""
+    if not paths:
+        return ()
+    from rtcomp.signing import load_public_keys
+
+    return load_public_keys(paths)
 
 
 @contextlib.contextmanager
@@ -80,13 +92,14 @@ class Runner:
             raise RequestError("wanted either --bus INTERFACE:CHANNEL or --log FILE, got both or neither")
         self.config, self.say = config, say
         self.map: CompiledMap = compile_map(load_map(config.map), config.dbc)
+        self._trust = _public_keys(config.trust)
         self.pipeline = Pipeline(self.map, self._load_stacks())
         self.clock = SteadyClock()
         self.stopped = threading.Event()
         self._resources = contextlib.ExitStack()
         self._source: Any = None
         self._swap: dict[str, list[Model]] = {}
-        self.swapper = Swapper(self._load_stacks, self._swap.update, config.sensor)
+        self.swapper = Swapper(self._load_stacks, self._swap.update, config.sensor, self._trust)
         self._started = self._ended = time.monotonic()
         self._powered = config.power_on != "first-frame"
         if isinstance(config.power_on, float):
@@ -113,6 +126,9 @@ class Runner:
                 self._resources.callback(session.close)
             self.publisher = self._publisher(session)
             if self.config.allow_swap:
+                if not self._trust:
+                    self.say("warning: models are swapped in from whoever reaches this zenoh session; hold them "
+                             "to a key with --trust PUBLIC_KEY")  # fmt: skip
                 keys = {name: self.publisher.key(name, "model/swap") for name in self.map.channel_names}
                 self.swapper.listen(session, keys)
                 self._resources.callback(self.swapper.close)
@@ -124,7 +140,9 @@ class Runner:
         if self.config.bus is not None:
             from rtcomp.sources.bus import open_bus
 
-            self._source = self._resources.enter_context(open_bus(self.config.bus, self.map.filters, self.clock))
+            self._source = self._resources.enter_context(
+                open_bus(self.config.bus, self.map.filters, self.clock)
+            )
         else:
             from rtcomp.sources.logs import read_log
 
@@ -201,7 +219,7 @@ class Runner:
             self.writer.append(frames)
 
     def _load_stacks(self) -> dict[str, list[Model]]:
-        return load_stacks(self.config.model, self.map.channel_names, self.config.sensor)
+        return load_stacks(self.config.model, self.map.channel_names, self.config.sensor, self._trust)
 
     def _swap_models(self) -> None:
         """Between two arrays of frames, so no sample sees half a model."""

@@ -1,11 +1,11 @@
 """Other models while running: the files again on SIGHUP, or a put to an opt-in zenoh key.
 
-A swap is whole or not at all: what cannot be read, is of another sensor or fails its hash is refused, counted and
-said, and the old model stays. Nothing in a message names a file.
+A swap is whole or not at all: what cannot be read, is of another sensor, fails its hash or is signed by nobody
+trusted is refused, counted and said, and the old model stays. Nothing in a message names a file.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rtcomp.errors import RequestError
@@ -20,11 +20,15 @@ class Swapper:
     """Accepts and refuses new models for a run; `counts` is what became of them."""
 
     def __init__(
-        self, load: Callable[[], Stacks], swap: Callable[[Stacks], None], sensor: str | None
+        self,
+        load: Callable[[], Stacks],
+        swap: Callable[[Stacks], None],
+        sensor: str | None,
+        trust: Sequence[Any] = (),
     ) -> None:
-        """`load` reads the run's model files again, `swap` hands stacks to the run."""
+        """`load` reads the run's model files again, `swap` hands stacks to the run; `trust` as in `parse_model`."""
         self.counts = {"accepted": 0, "refused": 0}
-        self._load, self._swap, self._sensor = load, swap, sensor
+        self._load, self._swap, self._sensor, self._trust = load, swap, sensor, trust
         self._subscribers: list[Any] = []
 
     def reload(self) -> None:
@@ -51,7 +55,7 @@ class Swapper:
             text = payload.decode()
         except UnicodeDecodeError as error:
             raise RequestError(f"the model put is not UTF-8 text: {error.reason}") from error
-        model = parse_model(text, "the model put")
+        model = parse_model(text, "the model put", self._trust)
         check_sensor(model, self._sensor, "the model put")
         return model
 

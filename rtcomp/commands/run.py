@@ -23,6 +23,11 @@ import click
     multiple=True,
     help="Model FILE for every channel, or CHANNEL=FILE; several add up. Without one, rates pass through, flagged.",
 )
+@click.option(
+    "--trust",
+    multiple=True,
+    help="Public key (FILE.pub of `rtcomp model --new-key`); only models signed by one of these are taken, swaps too.",
+)
 @click.option("--sensor", help="Serial number of the sensor; a model of another one is refused.")
 @click.option(
     "--zenoh", help="zenoh configuration file, or 'local' for this machine only.  [default: in-process]"
@@ -55,7 +60,12 @@ import click
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document at the end.")
 def command(
-    config_file: str | None, as_json: bool, power_on: str | None, model: tuple[str, ...], **options: Any
+    config_file: str | None,
+    as_json: bool,
+    power_on: str | None,
+    model: tuple[str, ...],
+    trust: tuple[str, ...],
+    **options: Any,
 ) -> None:
     """Correct a gyro's rates in real time and publish them on zenoh.
 
@@ -69,7 +79,7 @@ def command(
     from rtcomp.summary import show_summary
 
     start = load_config(config_file) if config_file else RunConfig()
-    config = override(start, model=list(model), power_on=_power_on(power_on), **options)
+    config = override(start, model=list(model), trust=list(trust), power_on=_power_on(power_on), **options)
     runner = Runner(config, lambda text: click.echo(f"rtcomp: {text}", err=True))
     with stopping_on_signals(runner):
         runner.start()
