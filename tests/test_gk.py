@@ -50,7 +50,8 @@ def test_one_round_is_the_printed_equations(m):
     centers, covariances, norms = np.empty((3, 3)), np.empty((3, 3, 3)), np.empty((3, 3, 3))
     weighted_centers(z, mu, m, centers)
     weighted_covariances(z, mu, centers, m, covariances)
-    assert not any([norm_matrix(covariances[j], 1e12, 0.0, 1.0, norms[j]) for j in range(3)])
+    repaired = [norm_matrix(covariances[j], 1e12, 0.0, 1.0, norms[j]) for j in range(3)]
+    assert not any(repaired)
     square = np.empty(mu.shape)
     distances(z, centers, norms, square, np.empty(z.shape))
     before = mu.copy()
@@ -178,3 +179,17 @@ def test_rows_that_are_not_finite_are_refused_by_name():
         cluster(points, 3, names=NAMES)
     with pytest.raises(RequestError, match="at least 1"):
         cluster(blobs(), 0, names=NAMES)
+
+
+@pytest.mark.parametrize("m", [2.0, 1.3, 3.0])
+def test_a_point_on_a_centre_belongs_to_it_alone(m):
+    z = np.array([[0.0, 1.0, 4.0], [0.0, 2.0, 5.0]])
+    mu = random_partition(3, 2, 0)
+    centers = np.array([[0.0, 0.0], [4.0, 5.0]])
+    norms = np.stack([np.eye(2), np.eye(2)])
+    _, objective = update_partition(z, mu, centers, norms, m)
+    np.testing.assert_allclose(mu[:, [0, 2]], np.eye(2), atol=1e-12)
+    expected = np.sum(mu[:, 1] ** m * [5.0, 18.0])
+    assert objective == pytest.approx(expected, rel=1e-9)
+    update_partition(z, mu, np.zeros((2, 2)), norms, m)
+    np.testing.assert_allclose(mu[:, 0], 0.5)

@@ -79,5 +79,5 @@ def test_forgetting_follows_a_change_that_plain_rls_averages():
 
 @pytest.mark.parametrize(("start", "forgetting"), [(0.0, 1.0), (300.0, 0.0), (300.0, 1.5)])
 def test_bad_settings_are_refused(start, forgetting):
-    with pytest.raises(RequestError, match="give a number|above 0"):
+    with pytest.raises(RequestError, match=r"give a number|above 0"):
         RecursiveLeastSquares(2, start, forgetting)

@@ -65,7 +65,7 @@ def test_refinement_recovers_a_planted_system():
     inputs, error = planted()
     scale = inputs.std(axis=0)
     start = Antecedents(
-        (np.array(PLANTED.centers) + [6.0, -15.0]) / scale, np.array(PLANTED.widths) * 1.3 / scale
+        (np.array(PLANTED.centers) + np.array([6.0, -15.0])) / scale, np.array(PLANTED.widths) * 1.3 / scale
     )
     found = refine(inputs / scale, error, start)
     phi, first = (regressors(inputs / scale, a.centers, a.widths, True) for a in (found, start))

@@ -211,15 +211,17 @@ def distances(z, centers, norms, square, apart):
 def inverse_powers(square, m, inverse, share):
     """`inverse` = (1/D²)^(1/(m−1)), `share` = 1/Σ_j of it, so that μ = inverse·share (eq. 6); returns this part of J.
 
-    By eq. 6 Σ_j μ_ji^m D²_ji = share^(m−1). A point that sits on centres belongs to them in equal shares.
+    By eq. 6 Σ_j μ_ji^m D²_ji = share^(m−1). The floor keeps a point that sits on centres finite: it then belongs to
+    them in equal shares.
     """
     clusters, samples = square.shape
     power, objective = 1.0 / (m - 1.0), 0.0
+    floor = max(1e-300, 10.0 ** (-300.0 * (m - 1.0)))
     share[:samples] = 0.0
     for j in range(clusters):
         d, q = square[j], inverse[j]
         for i in range(samples):
-            q[i] = 1.0 / max(d[i], 0.0)
+            q[i] = 1.0 / max(d[i], floor)
         if m != 2.0:
             for i in range(samples):
                 q[i] = q[i] ** power
@@ -228,14 +230,7 @@ def inverse_powers(square, m, inverse, share):
     for i in range(samples):
         share[i] = 1.0 / share[i]
     for i in range(samples):
-        if share[i] > 0.0:
-            objective += share[i] if m == 2.0 else share[i] ** (m - 1.0)
-        else:
-            hits = 0.0
-            for j in range(clusters):
-                inverse[j, i] = 1.0 if inverse[j, i] == np.inf else 0.0
-                hits += inverse[j, i]
-            share[i] = 1.0 / hits
+        objective += share[i] if m == 2.0 else share[i] ** (m - 1.0)
     return objective
 
 
