@@ -19,7 +19,7 @@ import cantools
 import numpy as np
 
 from rtcomp import fog_format
-from rtcomp.compensator import Compensator
+from rtcomp.compensator import FIRST, Compensator
 from rtcomp.frames import CORRECTED
 from rtcomp.jit import hot_kernel
 from rtcomp.model import Model, Rules, Term, new_model
@@ -158,7 +158,7 @@ def measure(turns: int) -> dict[str, float]:
     few = [(int(f["can_id"]), int(f["t_ns"]) * 1e-9, f["data"][:8].tobytes()) for f in frames[:PEER_FRAMES]]
     scalar = Compensator([model], START_NS)
     scalar.temperature(START_NS, 20.0)
-    arguments = (scalar.compiled, scalar.state, 0, START_NS + 1, 12.5)
+    arguments = (scalar.compiled, scalar.state, FIRST, START_NS + 1, 12.5)
 
     def ours() -> int:
         pipeline = Pipeline(compiled_map, {"yaw": [model]}, START_NS)

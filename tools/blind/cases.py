@@ -68,7 +68,7 @@ def _chain(rng: np.random.Generator, wanted: Wish, planted: list[Planted]) -> Ch
     if wanted.wrong_simulation:
         law, share = dict(planted[0].parameters), 1.0
         law.pop("strength")
-    elif wanted.kind.endswith("/cycle") and wanted.notes["with_simulation"] > 0.75:
+    elif _simulated(wanted):
         law, share = draw_law(np.random.default_rng(int(wanted.notes["law_seed"]))), 1.0
     twins = any(p.id in ("thermal_lag", "scale_hysteresis", "scale_temperature_rate") for p in planted)
     return Chain(
@@ -81,6 +81,13 @@ def _chain(rng: np.random.Generator, wanted: Wish, planted: list[Planted]) -> Ch
         law=law,
         share=share,
         coil_sensor=twins and wanted.level in ("L1", "L2") and wanted.notes["coil"] > 0.8,
+    )
+
+
+def _simulated(wanted: Wish) -> bool:
+    """Whether the recording brings the output of a simulation that knows the gain law."""
+    return wanted.wrong_simulation or (
+        wanted.kind.endswith("/cycle") and wanted.notes["with_simulation"] > 0.75
     )
 
 
@@ -107,8 +114,8 @@ def _attempt(name: str, level: str, turn: int, rng: np.random.Generator) -> Case
     count = 2 if rng.random() < 0.15 and level not in ("L4", "L5", "L7", "L10") else 1
     grade = float(np.exp(rng.uniform(np.log(0.7), np.log(6.0))))
     duration, fs = _size(wanted.kind, rng)
-    scenes = [make_scene(wanted.kind, duration, fs, grade, rng) for _ in range(count)]
-    other = make_scene(wanted.kind, duration, fs, grade, rng)
+    modelled = _simulated(wanted)
+    *scenes, other = (make_scene(wanted.kind, duration, fs, grade, rng, modelled) for _ in range(count + 1))
     planted = _plant(wanted, scenes, rng)
     truth = {"case": name, "level": level, "kind": wanted.kind, "effects": []}
     case = Case(name, truth)
@@ -159,13 +166,11 @@ def _make(name: str, scene: Scene, planted: list[Planted], chain: Chain) -> Made
 
 
 def _noise(scene: Scene) -> dict[str, Any]:
-    if isinstance(scene.noise, SoakNoise):
-        return {
-            "white_dps": scene.noise.white_dps,
-            "soak_ppm": scene.noise.soak_ppm,
-            "soak": scene.noise.soak.tolist(),
-        }
-    return asdict(scene.noise) | {"reference_dps": scene.reference_dps}
+    """The gyro's own noise, as the sealed truth keeps it."""
+    model = scene.gyro_noise
+    if isinstance(model, SoakNoise):
+        return {"white_dps": model.white_dps, "soak_ppm": model.soak_ppm, "soak": model.soak.tolist()}
+    return asdict(model) | {"reference_dps": scene.reference_dps}
 
 
 def _reached(plant: Planted, scenes: list[Scene], made: list[Made]) -> float:
@@ -202,6 +207,7 @@ def _describe(
         "thermal": bool(set(effect.drivers) & THERMAL_DRIVERS),
         "unlisted": unlisted,
         "frames": effect.stage == "frames",
+        "in_reference": effect.stage == "reference",
         "variance": effect.variance is not None,
         "transferable": effect.transferable,
         "dprime": reached,

@@ -1,5 +1,6 @@
 """Everything that can be planted, by name."""
 
+from tools.blind.changes import CHANGES
 from tools.blind.effect import Effect
 from tools.blind.electronics import ELECTRONICS, GROSS
 from tools.blind.foreign import FOREIGN
@@ -8,7 +9,7 @@ from tools.blind.optics import OPTICS
 from tools.blind.surroundings import SURROUNDINGS
 from tools.blind.timing import TIMING
 
-KNOWN: dict[str, Effect] = {e.id: e for e in (*OPTICS, *ELECTRONICS, *TIMING, *SURROUNDINGS)}
+KNOWN: dict[str, Effect] = {e.id: e for e in (*OPTICS, *ELECTRONICS, *CHANGES, *TIMING, *SURROUNDINGS)}
 """Effects of the public catalogue, with a strength that can be chosen."""
 DECOYS: dict[str, Effect] = {e.id: e for e in GROSS}
 """Plain wrong coefficients."""

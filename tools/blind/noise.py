@@ -10,6 +10,9 @@ import numpy as np
 from scipy.fft import dct
 from scipy.signal import lfilter
 
+EMPTY = 1e-6
+"""Norm of a whitened constant is round-off, 1e-9; that of anything real is far above 1."""
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -27,8 +30,7 @@ class NoiseModel:
         for variance, tau, _ in self.relaxations:
             phi = np.exp(-self.dt_s / tau)
             total += variance * (1 - phi**2) / (1 - 2 * phi * cosine + phi**2)
-        with np.errstate(divide="ignore"):
-            total += self.walk_dps_per_rs**2 * self.dt_s / (2 - 2 * cosine)
+        total[1:] += self.walk_dps_per_rs**2 * self.dt_s / (2 - 2 * cosine[1:])
         total[0] = np.inf
         return total
 
@@ -88,24 +90,21 @@ class SoakNoise:
 Noise = NoiseModel | SoakNoise
 
 
-def draw_noise(rng: np.random.Generator, dt_s: float, grade: float, reference_dps: float) -> NoiseModel:
-    """A gyro of `grade` (1: N 0.05 °/√h, B 0.5 °/h, R 1 °/h/√h), each figure off by up to ±30 %.
-
-    reference_dps is the white noise of the reference, which every residual carries as well.
-    """
+def draw_noise(rng: np.random.Generator, dt_s: float, grade: float) -> NoiseModel:
+    """A gyro of `grade` (1: N 0.05 °/√h, B 0.5 °/h, R 1 °/h/√h), each figure off by up to ±30 %."""
     n, b, r = (nominal * grade * rng.uniform(0.7, 1.3) for nominal in (0.05, 0.5, 1.0))
     taus = np.exp(np.arange(np.log(0.5), np.log(6000), 1.0) + rng.uniform(-0.4, 0.4))
     shares = rng.lognormal(0, 0.4, len(taus)) * (b / 3600) ** 2 / np.pi
     traps = rng.random(len(taus)) < 0.3
-    white = float(np.hypot(n / 60 / np.sqrt(dt_s), reference_dps))
+    white = float(n / 60 / np.sqrt(dt_s))
     relaxations = tuple((float(v), float(t), bool(k)) for v, t, k in zip(shares, taus, traps, strict=True))
     return NoiseModel(dt_s, white, r / 216000, relaxations)
 
 
 def basis(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal basis of the span of columns, shape (n, m); columns of zeros are left out."""
+    """Orthonormal basis of the span of columns, shape (n, m); columns that whitening has emptied are left out."""
     scale = np.linalg.norm(columns, axis=0)
-    return np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0]
+    return np.linalg.qr(columns[:, scale > EMPTY] / scale[scale > EMPTY])[0]
 
 
 def dprime(noise: Noise, waveform: np.ndarray, nuisance: np.ndarray) -> float:

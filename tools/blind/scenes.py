@@ -1,6 +1,6 @@
 """A scene: everything true about one recording before any gyro error is put into it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -20,8 +20,9 @@ class Scene:
         t_s: shape (n,), from power-on; for averages the row number.
         omega_dps: true rate, shape (n,).
         temp_degC: temperature of the gyro's sensor without noise, shape (n,).
-        noise: model of gyro plus reference noise.
-        reference_dps: white noise of the reference, part of `noise`.
+        gyro_noise: of the gyro alone.
+        noise: of measured minus simulated: with the reference's noise where the simulation is the reference.
+        reference_dps: white noise of the reference.
         motion, climate: finer grids; None for averages.
     """
 
@@ -29,6 +30,7 @@ class Scene:
     t_s: np.ndarray
     omega_dps: np.ndarray
     temp_degC: np.ndarray
+    gyro_noise: Noise
     noise: Noise
     reference_dps: float
     motion: Motion | None = None
@@ -91,8 +93,18 @@ class Scene:
         return whitened - q @ (q.T @ whitened)
 
 
-def make_scene(kind: str, duration_s: float, fs_hz: float, grade: float, rng: np.random.Generator) -> Scene:
-    """A timed scene of kind "motion/climate", or averages (duration and rate are then ignored)."""
+def make_scene(
+    kind: str,
+    duration_s: float,
+    fs_hz: float,
+    grade: float,
+    rng: np.random.Generator,
+    simulated: bool = False,
+) -> Scene:
+    """A timed scene of kind "motion/climate", or averages (duration and rate are then ignored).
+
+    With `simulated` there is a simulation besides the reference, so that the reference's noise does not matter.
+    """
     if kind == "averages":
         return make_averages(rng)
     moving, surroundings = kind.split("/")
@@ -100,10 +112,11 @@ def make_scene(kind: str, duration_s: float, fs_hz: float, grade: float, rng: np
     climate = make_climate(surroundings, duration_s, rng)
     t = np.arange(int(next_fast_len(int(0.97 * duration_s * fs_hz)) or 0)) / fs_hz
     reference = 0.0 if moving == "zero" else float(np.exp(rng.uniform(np.log(2e-3), np.log(3e-2))))
-    noise = draw_noise(rng, 1 / fs_hz, grade, reference)
+    gyro = draw_noise(rng, 1 / fs_hz, grade)
+    noise = gyro if simulated else replace(gyro, white_dps=float(np.hypot(gyro.white_dps, reference)))
     omega = np.asarray(motion.rate(t))
     temp = np.interp(t, climate.grid_s, climate.housing_degC)
-    scene = Scene(kind, t, omega, temp, noise, reference, motion, climate)
+    scene = Scene(kind, t, omega, temp, gyro, noise, reference, motion, climate)
     if moving in ("circles", "drive", "table"):
         turned = motion.rate.antiderivative()
         scene.heading_deg = np.mod(rng.uniform(0, 360) + turned(t) - turned(0.0), 360)
@@ -129,7 +142,7 @@ def make_averages(rng: np.random.Generator) -> Scene:
     soak = np.repeat(np.arange(len(temps)), len(rates))
     temp = temp + rng.normal(0, 0.15, len(temps))[soak]
     noise = SoakNoise(float(rng.uniform(0.003, 0.01)), float(rng.uniform(5, 60)), omega, soak)
-    return Scene("averages", np.arange(len(omega), dtype=float), omega, temp, noise, 0.0)
+    return Scene("averages", np.arange(len(omega), dtype=float), omega, temp, noise, noise, 0.0)
 
 
 def white_variance(scene: Scene) -> float:

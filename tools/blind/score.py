@@ -163,12 +163,12 @@ def score_heldout(
         if correction is None:
             rows.append({"recording": name, "fits": False})
             continue
-        reference = (
-            recording.get("sim_rate_dps") if "sim_rate_dps" in recording else recording.get("ref_rate_dps")
-        )
-        residual = recording["rate_dps"] - (0.0 if reference is None else reference)
         omega = arrays[f"{name}/omega_dps"].astype(float)
-        oracle = sum(arrays[f"{name}/{effect}"].astype(float) for effect in lasting)
+        waves = {e["effect"]: arrays[f"{name}/{e['effect']}"].astype(float) for e in lasting}
+        oracle = np.sum(list(waves.values()), axis=0)
+        residual = true_residual(recording, omega) + sum(
+            waves[e["effect"]] for e in lasting if e["in_reference"]
+        )
         noise = noise_of(truth["recordings"][name]["noise"], omega)
         rows.append(
             {"recording": name, "fits": True}

@@ -1,13 +1,12 @@
 """From a scene and planted effects to the recording that the tool sees, and the waveform of every effect in it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tools.blind.effect import STAGES, Parameters, Planted
 from tools.blind.frames import COUNTER, FAULTS, Columns
-from tools.blind.noise import SoakNoise
 from tools.blind.optics import gain_error
 from tools.blind.scenes import Scene
 
@@ -81,13 +80,10 @@ def waveforms(
 
 
 def noises(scene: Scene, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """Noise of the gyro and of the reference [°/s], independent: their difference follows scene.noise."""
-    rng = np.random.default_rng([chain.seed, 1])
-    n, model = len(scene.t_s), scene.noise
-    if isinstance(model, SoakNoise):
-        return model.sample(n, rng), np.zeros(n)
-    own = replace(model, white_dps=float(np.sqrt(model.white_dps**2 - scene.reference_dps**2)))
-    return own.sample(n, rng), rng.normal(0, scene.reference_dps, n)
+    """Noise of the gyro and of its reference [°/s], independent of each other, both shape (n,)."""
+    n = len(scene.t_s)
+    own = scene.gyro_noise.sample(n, np.random.default_rng([chain.seed, 1]))
+    return own, np.random.default_rng([chain.seed, 2]).normal(0, scene.reference_dps, n)
 
 
 def record(
@@ -98,7 +94,7 @@ def record(
     rng = np.random.default_rng([chain.seed, 3])
     columns = {} if not scene.timed else {"t_s": np.round(scene.t_s, 6)}
     if chain.lsb:
-        step = chain.lsb * scene.noise.white_dps
+        step = chain.lsb * scene.gyro_noise.white_dps
         rate = np.round(rate / step) * step
     temp = scene.temp_degC + rng.normal(0, chain.temp_noise_K, len(rate))
     columns |= {
