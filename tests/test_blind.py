@@ -126,7 +126,7 @@ def test_dprime_with_a_full_covariance_agrees_with_solving_it():
 
 
 def test_sampled_noise_is_white_with_unit_variance_after_whitening():
-    noise = draw_noise(np.random.default_rng(SEED), 1.0, 1.0, 0.002)
+    noise = draw_noise(np.random.default_rng(SEED), 1.0, 1.0)
     whitened = [noise.whiten(noise.sample(4096, np.random.default_rng(i)))[1:] for i in range(30)]
     power = np.mean(np.square(whitened), axis=0)
     for band in (power[:40], power[40:400], power[400:]):

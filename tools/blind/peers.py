@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tools.blind.noise import basis
-from tools.blind.proof import compare, noise_of
+from tools.blind.proof import against_oracle, lasting
 from tools.blind.sealing import open_case
 from tools.blind.summary import rate, spread
 from tools.blind.trial import Told, in_parallel
@@ -185,16 +185,9 @@ def peer_case(folder: Path, seal: str) -> Document:
 def _heldout_ratio(
     answer: Answer, heldout: Recording, truth: Document, arrays: dict[str, np.ndarray]
 ) -> float | None:
-    lasting = [
-        e["effect"] for e in truth["effects"] if e["transferable"] and not e["frames"] and not e["variance"]
-    ]
-    if not lasting:
+    if not lasting(truth):
         return None
-    error, _ = residual(heldout)
-    omega = arrays["heldout-1/omega_dps"].astype(float)
-    oracle = np.sum([arrays[f"heldout-1/{effect}"].astype(float) for effect in lasting], axis=0)
-    noise = noise_of(truth["recordings"]["heldout-1"]["noise"], omega)
-    told = compare(error, answer.predict(features(heldout)[1]), oracle, omega, noise)
+    told = against_oracle(heldout, "heldout-1", answer.predict(features(heldout)[1]), truth, arrays)
     return told["misfit_ratio"] if told["oracle_gain"] > 60 else None
 
 

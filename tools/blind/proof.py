@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow.csv
 
 from tools.blind.noise import Noise, NoiseModel, SoakNoise, basis
+from training.table import Recording
 
 
 def noise_of(sealed: dict[str, Any], omega_dps: np.ndarray) -> Noise:
@@ -31,7 +32,7 @@ def read_correction(path, times_s: np.ndarray | None, rows: int) -> np.ndarray |
 
 def compare(
     residual: np.ndarray, correction: np.ndarray, truth: np.ndarray, omega: np.ndarray, noise: Noise
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Misfit before, after the tool's correction and after the oracle's, offset and scale removed from each.
 
     All arrays have shape (n,) and are in °/s; `misfit_ratio` is 1 for the oracle and 0 for doing nothing,
@@ -47,13 +48,40 @@ def compare(
         rms[name] = float(np.sqrt(np.mean((values - flat @ (flat.T @ values)) ** 2)))
     gain = chi2["before"] - chi2["oracle"]
     return {
-        "misfit_ratio": (chi2["before"] - chi2["after"]) / gain if gain > 0 else float("nan"),
+        "misfit_ratio": (chi2["before"] - chi2["after"]) / gain if gain > 0 else None,
         "oracle_gain": gain,
         "rms_ratio": rms["after"] / rms["oracle"],
         "rms_before_dps": rms["before"],
         "rms_after_dps": rms["after"],
         "rms_oracle_dps": rms["oracle"],
     }
+
+
+def lasting(truth: dict[str, Any]) -> list[dict[str, Any]]:
+    """The planted effects that a held-out recording has too, and that a correction can remove."""
+    return [e for e in truth["effects"] if e["transferable"] and not e["frames"] and not e["variance"]]
+
+
+def against_oracle(
+    recording: Recording,
+    name: str,
+    correction: np.ndarray,
+    truth: dict[str, Any],
+    arrays: dict[str, np.ndarray],
+) -> dict[str, Any]:
+    """Compare a correction, shape (n,), with the sealed waveforms of the held-out recording `name`.
+
+    The true rate stands in the reference's place: predicting the reference's noise must earn nobody anything.
+    """
+    omega = arrays[f"{name}/omega_dps"].astype(float)
+    waves = {e["effect"]: arrays[f"{name}/{e['effect']}"].astype(float) for e in lasting(truth)}
+    simulated = recording.get("sim_rate_dps")
+    residual = recording["rate_dps"] - (omega if simulated is None else simulated)
+    for effect in lasting(truth):
+        if effect["in_reference"]:
+            residual = residual + waves[effect["effect"]]
+    noise = noise_of(truth["recordings"][name]["noise"], omega)
+    return compare(residual, correction, np.sum(list(waves.values()), axis=0), omega, noise)
 
 
 def active_segments(wave: np.ndarray, t_s: np.ndarray, window_s: float = 60.0) -> list[tuple[float, float]]:

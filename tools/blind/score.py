@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tools.blind.catalogue import THERMAL_DRIVERS
-from tools.blind.proof import active_segments, compare, noise_of, overlap, read_correction
+from tools.blind.proof import active_segments, against_oracle, lasting, overlap, read_correction
 from training.table import read_recording
 
 Document = dict[str, Any]
@@ -150,30 +150,22 @@ def score_heldout(
     folder: Path, truth: Document, arrays: dict[str, np.ndarray], out: str = "found"
 ) -> list[Document]:
     """The held-out corrections that the tool wrote, against the oracle, one entry per held-out recording."""
-    lasting = [
-        e["effect"] for e in truth["effects"] if e["transferable"] and not e["frames"] and not e["variance"]
-    ]
     rows = []
     for name in sorted(n for n in truth["recordings"] if n.startswith("heldout")):
         recording = read_recording(folder / "seen" / f"{name}.parquet")
         path = folder / out / "heldout" / f"{name}.csv"
-        if not path.is_file() or not lasting or any(e["effect"] == "unit_error" for e in truth["effects"]):
+        if (
+            not path.is_file()
+            or not lasting(truth)
+            or any(e["effect"] == "unit_error" for e in truth["effects"])
+        ):
             continue
         correction = read_correction(path, recording.get("t_s"), len(recording))
         if correction is None:
             rows.append({"recording": name, "fits": False})
             continue
-        omega = arrays[f"{name}/omega_dps"].astype(float)
-        waves = {e["effect"]: arrays[f"{name}/{e['effect']}"].astype(float) for e in lasting}
-        oracle = np.sum(list(waves.values()), axis=0)
-        residual = true_residual(recording, omega) + sum(
-            waves[e["effect"]] for e in lasting if e["in_reference"]
-        )
-        noise = noise_of(truth["recordings"][name]["noise"], omega)
-        rows.append(
-            {"recording": name, "fits": True}
-            | compare(residual, correction, np.asarray(oracle), omega, noise)
-        )
+        told = against_oracle(recording, name, correction, truth, arrays)
+        rows.append({"recording": name, "fits": True} | told)
     return rows
 
 
