@@ -12,6 +12,8 @@ from rtcomp.jit import hot_kernel
 from rtcomp.model import Model
 from rtcomp.step import T_POWER_ON, forget, new_state, predict_error, sigma, thermal_update
 
+FIRST = np.uint64(0)  # a compensator has one channel
+
 
 class Prediction(NamedTuple):
     """Per row: predicted error [°/s], its standard deviation [°/s] (NaN: not stated), flags (`Flag` bits)."""
@@ -36,11 +38,11 @@ class Compensator:
 
     def temperature(self, t_ns: int, temp_degC: float, coil_temp_degC: float = float("nan")) -> None:
         """Take in a temperature received at `t_ns`."""
-        thermal_update(self.compiled, self.state, 0, t_ns, temp_degC, coil_temp_degC)
+        thermal_update(self.compiled, self.state, FIRST, t_ns, temp_degC, coil_temp_degC)
 
     def correct(self, t_ns: int, rate_dps: float) -> tuple[float, Flag]:
         """The corrected rate [°/s] and the model's flags."""
-        error, flags = predict_error(self.compiled, self.state, 0, t_ns, rate_dps)
+        error, flags = predict_error(self.compiled, self.state, FIRST, t_ns, rate_dps)
         return rate_dps - error, Flag(flags)
 
 
@@ -90,8 +92,8 @@ def predict_rows(c, s, independent, t_ns, rate, temp, coil, error, std, flags):
     """Fill `error`, `std` and `flags` (n,) row by row."""
     for i in range(rate.shape[0]):
         if independent:
-            forget(s, 0)
+            forget(s, FIRST)
         if not np.isnan(temp[i]):
-            thermal_update(c, s, 0, t_ns[i], temp[i], coil[i])
-        error[i], flags[i] = predict_error(c, s, 0, t_ns[i], rate[i])
-        std[i] = sigma(c, s, 0, rate[i])
+            thermal_update(c, s, FIRST, t_ns[i], temp[i], coil[i])
+        error[i], flags[i] = predict_error(c, s, FIRST, t_ns[i], rate[i])
+        std[i] = sigma(c, s, FIRST, rate[i])

@@ -19,13 +19,16 @@ SETTLE_TAUS = 5.0  # e⁻⁵ < 1 % of an unknown start is left
 
 
 class Compiled(NamedTuple):
-    """Models of all channels; group g is one model file, the groups of a channel add up. All arrays contiguous."""
+    """Models of all channels; group g is one model file, the groups of a channel add up. All arrays contiguous.
 
-    group_start: np.ndarray  # int64 (channels + 1)
-    term_start: np.ndarray  # int64 (channels + 1)
+    Starts are unsigned, as all indices of the compiled step are: a signed one is tested for being negative at every use.
+    """
+
+    group_start: np.ndarray  # uint64 (channels + 1)
+    term_start: np.ndarray  # uint64 (channels + 1)
     group_inputs: np.ndarray  # int64 (groups, MAX_INPUTS): index into INPUTS, −1 when unused
     group_size: np.ndarray  # int64 (groups): how many inputs its rules take
-    rule_start: np.ndarray  # int64 (groups + 1)
+    rule_start: np.ndarray  # uint64 (groups + 1)
     centers: np.ndarray  # float64 (rules, MAX_INPUTS)
     inverse_widths: np.ndarray  # float64 (rules, MAX_INPUTS)
     consequents: np.ndarray  # float64 (rules, MAX_INPUTS + 1), the constant first
@@ -34,7 +37,7 @@ class Compiled(NamedTuple):
     validity: np.ndarray  # float64 (groups, N_INPUTS, 2)
     filter_tau_s: np.ndarray  # float64 (groups, 2): of TEMP_RATE and LAG_TEMP
     term_kind: np.ndarray  # int64 (terms)
-    term_group: np.ndarray  # int64 (terms)
+    term_group: np.ndarray  # uint64 (terms)
     term: np.ndarray  # float64 (terms, PARAMETERS)
     table: np.ndarray  # float64 flat: polynomials, knots and values, residual regions
     sigma: np.ndarray  # int64 (channels, 3): offset into table, temperature regions, rate regions
@@ -69,7 +72,7 @@ def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
         _validity(models),
         _filters(models),
         np.array([kind for kind, _, _ in terms], np.int64),
-        np.array([g for _, g, _ in terms], np.int64),
+        np.array([g for _, g, _ in terms], np.uint64),
         _rows([row for _, _, row in terms], PARAMETERS, 0.0),
         np.array(table, np.float64),
         sigma,
@@ -79,7 +82,7 @@ def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
 
 
 def _starts(counts: list[int]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.uint64)
 
 
 def _rows(rows: list[list[float]], width: int, fill: float) -> np.ndarray:

@@ -61,7 +61,7 @@ def raw_value(words, data, row, signal):
     `words` and `data` are two views of the frames: records as 8-byte words (n, 10), payloads as bytes (n, 64).
     """
     if signal["word"] >= 0:
-        word = words[row, signal["word"]]
+        word = words[row, np.uint64(signal["word"])]
         if signal["step"] < 0:
             word = reversed_bytes(word)
         word >>= np.uint64(signal["word_shift"])
@@ -134,17 +134,18 @@ def scaled_value(raw, signal, scratch):
 @hot_kernel
 def is_selected(words, data, row, signals, index, mux_ranges):
     """Whether signal `index` is there in this payload: every multiplexer above it has a value that selects it."""
-    while signals[index]["multiplexer"] >= 0:
-        selector = signals[index]["multiplexer"]
+    current = np.uint64(index)
+    while signals[current]["multiplexer"] >= 0:
+        selector = np.uint64(signals[current]["multiplexer"])
         raw = raw_value(words, data, row, signals[selector])
-        start = signals[index]["mux_start"]
+        start = signals[current]["mux_start"]
         hit = False
-        for k in range(start, start + signals[index]["mux_count"]):
+        for k in range(start, start + signals[current]["mux_count"]):
             if mux_ranges[k, 0] <= raw <= mux_ranges[k, 1]:
                 hit = True
         if not hit:
             return False
-        index = selector
+        current = selector
     return True
 
 

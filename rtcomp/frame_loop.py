@@ -23,7 +23,7 @@ from rtcomp.plan import (
     TEMPERATURE,
     Plan,
 )
-from rtcomp.step import LAST_COIL, NEVER, predict_error, sigma, thermal_update
+from rtcomp.step import LAST_COIL, NEVER, ONE, predict_error, sigma, thermal_update
 
 CAUSES = (
     "error_frame",
@@ -91,13 +91,13 @@ def run_loop(plan, c, s, loop, frames, words, start, out, out_channel):
 
     Returns the index of the first frame not taken and the number of samples written to `out`.
     """
-    written = 0
-    room = out.shape[0] - plan.channels.shape[0]
-    i = start
-    while i < frames.shape[0] and written <= room:
+    written = np.uint64(0)
+    room = np.uint64(out.shape[0] - plan.channels.shape[0])
+    i, stop = np.uint64(start), np.uint64(frames.shape[0])
+    while i < stop and written <= room:
         written = take_frame(plan, c, s, loop, frames, words, i, out, out_channel, written)
-        i += 1
-    return i, written
+        i += ONE
+    return np.int64(i), np.int64(written)
 
 
 @hot_kernel
@@ -108,13 +108,12 @@ def take_frame(plan, c, s, loop, frames, words, i, out, out_channel, written):
         take_error_frame(loop, frames, i)
         return written
     loop.totals[FRAMES] += 1
-    m = find_message(plan, frames[i]["can_id"], (flags & EXTENDED) != 0)
-    if m == IGNORED:
+    found = find_message(plan, frames[i]["can_id"], (flags & EXTENDED) != 0)
+    if found == IGNORED:
         loop.totals[IGNORED_FRAMES] += 1
         return written
-    cause = ID_KIND if m < 0 else check_frame(plan, loop, frames, words, i, m)
-    if m < 0:
-        m = -3 - m
+    m = np.uint64(found if found >= 0 else -3 - found)
+    cause = check_frame(plan, loop, frames, words, i, m) if found >= 0 else ID_KIND
     if cause != GOOD:
         loop.rejected[cause] += 1
         mark_message(plan, loop, m, BAD_BEFORE)
@@ -151,9 +150,8 @@ def mark_all(loop, bit):
 @hot_kernel
 def mark_message(plan, loop, m, bit):
     """Flag the next sample of every channel that message m feeds."""
-    first = plan.messages[m]["first_use"]
-    for k in range(first, first + plan.messages[m]["uses"]):
-        loop.marks[plan.uses[k]["channel"]] |= bit
+    for k in range(plan.messages[m]["first_use"], plan.messages[m]["last_use"]):
+        loop.marks[np.uint64(plan.uses[k]["channel"])] |= bit
 
 
 @hot_kernel
@@ -203,7 +201,7 @@ def is_protected(plan, frames, i, m):
 @hot_kernel
 def check_counter(plan, loop, frames, words, i, m):
     """The counter must advance by 1…max_step, and by one more for every frame rejected since."""
-    counter = np.int64(payload_raw(frames, words, i, plan.signals[plan.messages[m]["counter"]]))
+    counter = np.int64(payload_raw(frames, words, i, plan.signals[np.uint64(plan.messages[m]["counter"])]))
     last = loop.counters[m, 0]
     allowed = plan.messages[m]["max_step"] + loop.counters[m, 1]
     loop.counters[m, 0] = counter
@@ -227,10 +225,9 @@ def payload_raw(frames, words, i, signal):
 def take_message(plan, c, s, loop, frames, words, i, m, out, out_channel, written):
     """Hand every signal of a good frame to its channel: temperatures first, then references, then rates."""
     t_ns = frames[i]["t_ns"]
-    first = plan.messages[m]["first_use"]
-    for k in range(first, first + plan.messages[m]["uses"]):
-        ch, role = plan.uses[k]["channel"], plan.uses[k]["role"]
-        index, payloads = plan.uses[k]["signal"], frames["data"]
+    for k in range(plan.messages[m]["first_use"], plan.messages[m]["last_use"]):
+        ch, role = np.uint64(plan.uses[k]["channel"]), np.uint64(plan.uses[k]["role"])
+        index, payloads = np.uint64(plan.uses[k]["signal"]), frames["data"]
         value = physical_value(
             words, payloads, i, plan.signals, index, plan.mux_ranges, plan.na_ranges, plan.scratch
         )
@@ -241,7 +238,7 @@ def take_message(plan, c, s, loop, frames, words, i, m, out, out_channel, writte
                 continue
             out_channel[written] = ch
             put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, value, out, written)
-            written += 1
+            written += ONE
         elif not np.isnan(value):
             take_slow(c, s, loop, ch, role, t_ns, value)
     return written
@@ -277,7 +274,7 @@ def put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, rate, out, row):
     flags |= temperature_flags(plan, c, loop, ch, t_ns)
     correction = 0.0
     std = np.nan
-    if c.group_start[ch] == c.group_start[ch + 1]:
+    if c.group_start[ch] == c.group_start[ch + ONE]:
         flags |= NO_MODEL
     else:
         correction, model_flags = predict_error(c, s, ch, t_ns, rate)
@@ -318,7 +315,7 @@ def count_flags(loop, flags):
 @hot_kernel
 def is_ok(plan, frames, words, i, ch):
     """Whether the sensor's own status is one of the good ones."""
-    raw = payload_raw(frames, words, i, plan.signals[plan.channels[ch]["valid"]])
+    raw = payload_raw(frames, words, i, plan.signals[np.uint64(plan.channels[ch]["valid"])])
     start = plan.channels[ch]["ok_start"]
     good = False
     for k in range(start, start + plan.channels[ch]["ok_count"]):

@@ -98,7 +98,7 @@ class Pipeline:
         for ch in range(len(self.names)):
             if self.state.times[ch, T_THERMAL] != NEVER:
                 temp, coil = self.state.values[ch, LAST_TEMP], self.state.values[ch, LAST_COIL]
-                thermal_update(compiled, state, ch, self.state.times[ch, T_THERMAL], temp, coil)
+                thermal_update(compiled, state, np.uint64(ch), self.state.times[ch, T_THERMAL], temp, coil)
                 if self._adopt(ch, stacks[ch], compiled, state):
                     state.times[ch] = self.state.times[ch]
                     state.values[ch] = self.state.values[ch]

@@ -39,8 +39,8 @@ MESSAGE = np.dtype(
         ("counter", "<i4"),  # index of the counter's signal, −1: none
         ("modulus", "<i4"),
         ("max_step", "<i4"),
-        ("first_use", "<i4"),  # rows of `uses`: what this message brings to which channel
-        ("uses", "<i4"),
+        ("first_use", "<u8"),  # rows of `uses`: what this message brings to which channel
+        ("last_use", "<u8"),  # (one behind the last)
     ]
 )
 """One message that carries something wanted, and what its frames must satisfy."""
@@ -205,7 +205,7 @@ class _Compiler:
             rules.counter.modulus if rules.counter else 0,
             rules.counter.max_step if rules.counter else 0,
             rows[0] if rows else 0,
-            len(rows),
+            rows[0] + len(rows) if rows else 0,
         )
 
     def _check_ids(self, messages: np.ndarray) -> None:

@@ -48,6 +48,7 @@ from rtcomp.terms import (
 
 GAP_S = 60.0  # longer without a temperature, and what happened between is no longer known
 DEG = math.pi / 180.0
+ONE = np.uint64(1)  # a signed one would make a float of an unsigned index
 UNDERFLOW = 1e-250  # below, quotients of firing strengths lose digits
 EXTRAPOLATING, UNSETTLED = int(Flag.EXTRAPOLATING), int(Flag.UNSETTLED)
 MISSING = int(Flag.TEMPERATURE_MISSING)
@@ -113,7 +114,7 @@ def thermal_update(c, s, ch, t_ns, temp, coil):
         return  # time does not run backwards in a thermal state
     s.values[ch, LOWEST] = min(s.values[ch, LOWEST], temp)
     s.values[ch, HIGHEST] = max(s.values[ch, HIGHEST], temp)
-    for g in range(c.group_start[ch], c.group_start[ch + 1]):
+    for g in range(c.group_start[ch], c.group_start[ch + ONE]):
         x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         x0 = x1 if first else clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         for k in range(2):
@@ -121,7 +122,7 @@ def thermal_update(c, s, ch, t_ns, temp, coil):
             s.filters[g, k, 0] = x1 if first else low_pass(s.filters[g, k, 0], x0, x1, dt, tau)
         s.filters[g, 0, 1] = (x1 - s.filters[g, 0, 0]) / c.filter_tau_s[g, 0]
         s.filters[g, 1, 1] = s.filters[g, 1, 0]
-    for j in range(c.term_start[ch], c.term_start[ch + 1]):
+    for j in range(c.term_start[ch], c.term_start[ch + ONE]):
         g = c.term_group[j]
         x1 = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         x0 = x1 if first else clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
@@ -185,19 +186,19 @@ def predict_error(c, s, ch, t_ns, rate):
     if t_ns < s.times[ch, SETTLED_AT] or (c.needs[ch, 2] and not timed):
         flags |= UNSETTLED
     total = 0.0
-    for g in range(c.group_start[ch], c.group_start[ch + 1]):
+    for g in range(c.group_start[ch], c.group_start[ch + ONE]):
         temp, inside = s.values[ch, LAST_TEMP], clip(rate, c.validity[g, RATE, 0], c.validity[g, RATE, 1])
         warm = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
         if inside != rate or (warm != temp and c.needs[ch, 0]):
             flags |= EXTRAPOLATING
         if c.base_kind[g] != NO_BASE:
             total += base_error(c, g, warm, inside)
-        if c.rule_start[g] != c.rule_start[g + 1]:
+        if c.rule_start[g] != c.rule_start[g + ONE]:
             error, rule_flags = rules_error(c, s, ch, g, warm, inside, t)
             total += error
             flags |= rule_flags
     w = rate - total  # the best estimate of the true rate
-    for j in range(c.term_start[ch], c.term_start[ch + 1]):
+    for j in range(c.term_start[ch], c.term_start[ch + ONE]):
         total += term_error(c, s, ch, j, rate, w, t, timed)
         is_play = c.term_kind[j] in (BIAS_PLAY, SCALE_PLAY)
         if is_play and not s.values[ch, HIGHEST] - s.values[ch, LOWEST] >= 2.0 * c.term[j, 0]:
@@ -262,7 +263,7 @@ def exponent(c, g, j, x0, x1, x2, x3):
 def weighted_outputs(c, g, shift, x0, x1, x2, x3):
     """Σ w and Σ w·g of group g, firing strengths w scaled by exp(−shift)."""
     weights, weighted = 0.0, 0.0
-    for j in range(c.rule_start[g], c.rule_start[g + 1]):
+    for j in range(c.rule_start[g], c.rule_start[g + ONE]):
         firing = math.exp(exponent(c, g, j, x0, x1, x2, x3) - shift)
         output = c.consequents[j, 0] + c.consequents[j, 1] * x0 + c.consequents[j, 2] * x1
         if c.group_size[g] > 2:
@@ -284,7 +285,7 @@ def rules_error(c, s, ch, g, temp, rate, t):
     weights, weighted = weighted_outputs(c, g, 0.0, x0, x1, x2, x3)
     if weights < UNDERFLOW:  # far from every rule: take the largest exponent out and the nearest one answers
         largest = -np.inf
-        for j in range(c.rule_start[g], c.rule_start[g + 1]):
+        for j in range(c.rule_start[g], c.rule_start[g + ONE]):
             largest = max(largest, exponent(c, g, j, x0, x1, x2, x3))
         weights, weighted = weighted_outputs(c, g, largest, x0, x1, x2, x3)
     return weighted / weights, f0 | f1 | f2 | f3
