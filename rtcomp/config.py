@@ -25,6 +25,7 @@ class RunConfig(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     encoding: Literal["struct", "json", "cdr"] = "struct"
     keys: dict[str, str] = {}  # channel → key of its rate, in place of <prefix>/<channel>/rate
     record: str | None = None
+    state: str | None = None  # checkpoint of the thermal states, taken up again after a restart
     seconds: float | None = None
     power_on: Literal["first-frame", "unknown"] | float = "first-frame"  # or UNIX seconds
     wait_subscriber_s: float | None = None

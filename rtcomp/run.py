@@ -5,22 +5,23 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from rtcomp.checkpoint import Checkpointer
 from rtcomp.config import RunConfig
 from rtcomp.errors import RequestError
 from rtcomp.frame_loop import FRAMES
 from rtcomp.frames import FRAME
-from rtcomp.model import Model, check_sensor, load_model, model_document
+from rtcomp.model import Model, model_document
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import CompiledMap, compile_map
 from rtcomp.publisher import Publisher
 from rtcomp.signal_map import load_map
 from rtcomp.sources.clock import SteadyClock
+from rtcomp.stacks import load_stacks, trusted_keys
 from rtcomp.swap import Swapper
 
 log = logging.getLogger(__name__)
@@ -28,39 +29,6 @@ log = logging.getLogger(__name__)
 RECEIVE_S = 0.2  # a silent bus holds up a stop no longer than this
 SLOW_COMPILE_S = 1.5
 WAIT_SUBSCRIBER_S = 2.0
-
-
-def load_stacks(
-    models: list[str], names: tuple[str, ...], sensor: str | None, trust: Sequence[Any] = ()
-) -> dict[str, list[Model]]:
-    """Read `FILE` (for every channel) and `CHANNEL=FILE` into a stack per channel.
-
-    Raises RequestError for a channel the map does not have, a model of another sensor, or one signed by none of
-    the public keys in `trust` (where there are any).
-    """
-    stacks: dict[str, list[Model]] = {}
-    for item in models:
-        channel, separator, path = item.partition("=")
-        if not separator or channel not in names:
-            if separator and not Path(item).exists():
-                raise RequestError(
-                    f"--model {item}: the map has no channel {channel!r}, only {', '.join(names)}"
-                )
-            channel, path = "", item
-        model = load_model(path, trust)
-        check_sensor(model, sensor, path)
-        for name in [channel] if channel else names:
-            stacks.setdefault(name, []).append(model)
-    return stacks
-
-
-def _public_keys(paths: list[str]) -> Sequence[Any]:
-    """The keys to hold models to; cryptography is loaded only where there are any."""
-    if not paths:
-        return ()
-    from rtcomp.signing import load_public_keys
-
-    return load_public_keys(paths)
 
 
 @contextlib.contextmanager
@@ -92,22 +60,24 @@ class Runner:
             raise RequestError("wanted either --bus INTERFACE:CHANNEL or --log FILE, got both or neither")
         self.config, self.say = config, say
         self.map: CompiledMap = compile_map(load_map(config.map), config.dbc)
-        self._trust = _public_keys(config.trust)
+        self._trust = trusted_keys(config.trust)
         self.pipeline = Pipeline(self.map, self._load_stacks())
+        self.checkpoint = Checkpointer(config.state, config.bus is not None) if config.state else None
         self.clock = SteadyClock()
         self.stopped = threading.Event()
         self._resources = contextlib.ExitStack()
         self._source: Any = None
+        self.recorder: Any = None
         self._swap: dict[str, list[Model]] = {}
         self.swapper = Swapper(self._load_stacks, self._swap.update, config.sensor, self._trust)
         self._started = self._ended = time.monotonic()
-        self._powered = config.power_on != "first-frame"
+        self._begun = False
         if isinstance(config.power_on, float):
             self.pipeline.power_on(round(config.power_on * 1e9))
 
     def start(self, session: Any = None) -> None:
         """Open bus or log, recorder and zenoh (or use `session`), and compile or load the kernels."""
-        from rtcomp.sources.candump import CandumpWriter
+        from rtcomp.recorder import Recorder
         from rtcomp.zenoh_session import open_session
 
         for warning in self.map.warnings:
@@ -116,11 +86,9 @@ class Runner:
             warm_up(self.map)
         self._open_source()
         try:
-            self.writer = (
-                self._resources.enter_context(CandumpWriter(self.config.record))
-                if self.config.record
-                else None
-            )
+            if self.config.record:
+                self.recorder = Recorder(self.config.record)
+                self._resources.callback(self.recorder.close)
             if session is None:
                 session = open_session(self.config.zenoh)
                 self._resources.callback(session.close)
@@ -208,15 +176,25 @@ class Runner:
 
     def _take(self, frames: np.ndarray) -> None:
         received_ns = self.clock.now_ns()
-        if not self._powered:
-            self.pipeline.power_on(int(frames["t_ns"][0]))
-            self._powered = True
+        if not self._begun:
+            self._begin(int(frames["t_ns"][0]))
         if self._swap:
             self._swap_models()
         for samples in self.pipeline.process(frames):
             self.publisher.offer(samples.corrected, samples.channel, received_ns)
-        if self.writer is not None:
-            self.writer.append(frames)
+        if self.recorder is not None:
+            self.recorder.append(frames)
+        if self.checkpoint is not None:
+            self.checkpoint.offer(self.pipeline, int(frames["t_ns"][-1]))
+
+    def _begin(self, t_ns: int) -> None:
+        """The first frame came at `t_ns`: take up what is known from before, or start anew."""
+        self._begun = True
+        powered_now = self.config.power_on == "first-frame"
+        if self.checkpoint is not None and self.checkpoint.start(self.pipeline, t_ns, powered_now):
+            return
+        if powered_now:
+            self.pipeline.power_on(t_ns)
 
     def _load_stacks(self) -> dict[str, list[Model]]:
         return load_stacks(self.config.model, self.map.channel_names, self.config.sensor, self._trust)
@@ -237,6 +215,8 @@ class Runner:
     def close(self) -> None:
         """Publish what is left, then give everything back."""
         try:
+            if self.checkpoint is not None:
+                self.checkpoint.close(self.pipeline)
             self.publisher.close()
         finally:
             self._resources.close()
@@ -259,6 +239,8 @@ class Runner:
             "flags": self.pipeline.flags,
             "clock_steps": counts["clock_steps"],
             "swaps": dict(self.swapper.counts),
+            "record": self.recorder.counts if self.recorder else None,
+            "state": dict(self.checkpoint.counts) if self.checkpoint else None,
         }
 
     def summary(self) -> dict[str, Any]:

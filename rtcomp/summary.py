@@ -24,6 +24,12 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("rejected", _listed(summary["rejected"]) or "none"),
         ("flags", _listed(summary["flags"]) or "none"),
     ]
+    record, state = summary.get("record"), summary.get("state")
+    if record:
+        stopped = f"; stopped: {record['error']}, {record['lost']:,} not kept" if record["error"] else ""
+        rows.append(("recorded", f"{record['frames']:,} frames{stopped}"))
+    if state:
+        rows.append(("state", _listed(state) or "new"))
     if summary["rms_raw_dps"] is not None:
         ratio = (
             summary["rms_raw_dps"] / summary["rms_corrected_dps"]

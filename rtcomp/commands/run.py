@@ -37,6 +37,10 @@ import click
     "--encoding", type=click.Choice(["struct", "json", "cdr"]), help="Payload of a sample.  [default: struct]"
 )
 @click.option("--record", help="Keep the received frames with their ns times: a candump .log or .log.gz.")
+@click.option(
+    "--state",
+    help="Keep the thermal states in this file every 10 s, and take them up again after a restart while fresh.",
+)
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this long.")
 @click.option(
     "--power-on",

@@ -1,5 +1,6 @@
 """Candump logs read and written as FRAME arrays, in bounded memory, times exact to the nanosecond."""
 
+import contextlib
 import gzip
 import logging
 import os
@@ -173,11 +174,14 @@ class CandumpWriter:
             raise RequestError(f"interface name {channel!r}: wanted a name without blanks, like can0")
         self.path = Path(path)
         self.frames_written = 0
-        self._part = self.path.with_name(self.path.name + ".part")
+        device = (
+            self.path.exists() and not self.path.is_file()
+        )  # /dev/stdout, a pipe: never replaced by a file
+        self.part = self.path if device else self.path.with_name(self.path.name + ".part")
         self._channel = np.frombuffer(channel.encode(), np.uint8).copy()
         self._text = np.empty(max(1 << 16, 4 * (LONGEST_LINE + len(self._channel))), np.uint8)
         try:
-            file = self._part.open("wb")
+            file = self.part.open("wb")
         except OSError as error:
             raise RequestError(
                 f"{path}: cannot be written ({error.strerror}); give a writable path"
@@ -200,14 +204,22 @@ class CandumpWriter:
             return
         self._file.close()
         self._raw.close()
-        os.replace(self._part, self.path)
+        if self.part != self.path:
+            os.replace(self.part, self.path)
+
+    def abandon(self) -> None:
+        """Close as far as a disk that takes no more lets it; what was written stays in `part`."""
+        for file in (self._file, self._raw):
+            with contextlib.suppress(OSError):
+                file.close()
 
     def discard(self) -> None:
         """Close without leaving a file."""
         if not self._raw.closed:
             self._file.close()
             self._raw.close()
-            self._part.unlink(missing_ok=True)
+            if self.part != self.path:
+                self.part.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self
