@@ -12,6 +12,7 @@ class Cells:
     """Sums per cell over a box; state `(CELLS, CELLS, 2)`: before and after compensation. `add` in any order."""
 
     def __init__(self, box: Box) -> None:
+        self.box = box
         self._edges = [np.linspace(*limits, CELLS + 1) for limits in (box.temp_degC, box.rate_dps)]
         self._sums = np.zeros((2, CELLS, CELLS))
         self._counts = np.zeros((CELLS, CELLS))
@@ -30,7 +31,7 @@ class Cells:
 
     def means(self) -> tuple[Grid, Grid]:
         """Mean errors before and after, NaN where nothing was seen; axes are the cells' centres."""
-        centers = [(edges[1:] + edges[:-1]) / 2.0 for edges in self._edges]
+        temp, rate = [(edges[1:] + edges[:-1]) / 2.0 for edges in self._edges]
         means = np.full(self._sums.shape, np.nan)
         np.divide(self._sums, self._counts, out=means, where=self._counts > 0)
-        return Grid(*centers, means[0]), Grid(*centers, means[1])
+        return Grid(temp, rate, means[0]), Grid(temp, rate, means[1])

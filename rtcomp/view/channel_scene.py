@@ -63,10 +63,9 @@ class ChannelScene:
 
     def __init__(self, stream: Any, name: str, models: Sequence[Model]) -> None:
         self.stream, self.root, self.models = stream, f"{name}/surface", list(models)
-        self.box: Box | None = None
-        self.cells: Cells | None = None
+        self.cells: Cells | None = None  # with the box they stand in, once that is known
         self._trail: deque[Way] = deque(maxlen=TRAIL_POINTS)
-        self._due_ns, self._wait_s, self._shown = 0, FIRST_LOOK_S, 0
+        self._due_ns, self._wait_s = 0, FIRST_LOOK_S
 
     def add(self, samples: np.ndarray) -> None:
         """Take in a batch of CORRECTED samples, shape `(n,)`, n > 0; rows without a temperature are left out."""
@@ -74,25 +73,23 @@ class ChannelScene:
         if not len(samples):
             return
         errors = error_columns(samples)
-        if self.box is None or self._outgrown(samples, errors):
-            self._build(samples, errors)
-        assert self.cells is not None
-        self.cells.add(samples["temp_degC"], samples["rate_raw_dps"], errors)
-        self._move(samples)
-        self._show_measured(int(samples["t_ns"][-1]))
+        cells = self.cells
+        if cells is None or self._outgrown(cells.box, samples, errors):
+            cells = self._build(samples, errors)
+        cells.add(samples["temp_degC"], samples["rate_raw_dps"], errors)
+        self._move(cells.box, samples)
+        self._show_measured(cells, int(samples["t_ns"][-1]))
 
-    def prepare(self, samples: np.ndarray) -> None:
-        """Make the scene fit samples that are all known already."""
-        self._build(samples, error_columns(samples))
+    def prepare(self, samples: np.ndarray) -> Box:
+        """Make the scene fit samples that are all known already; returns its box."""
+        return self._build(samples, error_columns(samples)).box
 
     def swap(self, models: Sequence[Model]) -> None:
         """Show other models from now on."""
-        self.models, self.box = list(models), None
+        self.models, self.cells = list(models), None
 
-    def _outgrown(self, samples: np.ndarray, errors: np.ndarray) -> bool:
+    def _outgrown(self, box: Box, samples: np.ndarray, errors: np.ndarray) -> bool:
         """Whether a scene without stated validity has become too small."""
-        box = self.box
-        assert box is not None
         if self.models and valid_range(self.models, "temp_degC") and valid_range(self.models, "rate_dps"):
             return False
         sizes = (samples["temp_degC"], box.temp_degC), (samples["rate_raw_dps"], box.rate_dps)
@@ -100,17 +97,17 @@ class ChannelScene:
         big = len(seen) > 0 and float(np.quantile(seen, 0.99)) > 1.5 * box.limit_dps
         return big or any(float(v.min()) < low or float(v.max()) > high for v, (low, high) in sizes)
 
-    def _build(self, samples: np.ndarray, errors: np.ndarray) -> None:
+    def _build(self, samples: np.ndarray, errors: np.ndarray) -> Cells:
         temp, rate = samples["temp_degC"], samples["rate_raw_dps"]
-        if self.box is not None:  # what was seen stays inside
-            temp, rate = np.append(temp, self.box.temp_degC), np.append(rate, self.box.rate_dps)
-        self.box = box = fitting_box(self.models, temp, rate, errors[:, 0])
+        if self.cells is not None:  # what was seen stays inside
+            temp, rate = np.append(temp, self.cells.box.temp_degC), np.append(rate, self.cells.box.rate_dps)
+        box = fitting_box(self.models, temp, rate, errors[:, 0])
         self.cells = Cells(box)
         self._due_ns, self._wait_s = 0, FIRST_LOOK_S
         log_model_scene(self.stream, self.root, self.models, box)
+        return self.cells
 
-    def _move(self, samples: np.ndarray) -> None:
-        assert self.box is not None  # noqa: S101
+    def _move(self, box: Box, samples: np.ndarray) -> None:
         last = samples[-1]
         left = float(last["rate_dps"] - last["ref_rate_dps"])
         here = Way(
@@ -125,24 +122,22 @@ class ChannelScene:
             self._trail.clear()  # a replay began anew
         if step < 0 or step >= TRAIL_STEP_NS:
             self._trail.append(here)
-        log_operating_point(self.stream, self.root, self.box, [*self._trail, here])
+        log_operating_point(self.stream, self.root, box, [*self._trail, here])
 
-    def _show_measured(self, t_ns: int) -> None:
-        assert self.box is not None  # noqa: S101
-        assert self.cells is not None
-        if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(self.cells):
+    def _show_measured(self, cells: Cells, t_ns: int) -> None:
+        if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(cells):
             return
         self._due_ns = t_ns + round(self._wait_s * 1e9)
         self._wait_s = min(self._wait_s * SLOWER, SLOWEST_S)
-        before, after = self.cells.means()
-        log_tiles(self.stream, f"{self.root}/before/measured", before, self.box)
-        log_tiles(self.stream, f"{self.root}/after/measured", after, self.box)
+        before, after = cells.means()
+        log_tiles(self.stream, f"{self.root}/before/measured", before, cells.box)
+        log_tiles(self.stream, f"{self.root}/after/measured", after, cells.box)
 
     def finish(self) -> None:
         """Log what was measured up to the end."""
-        if self.box is not None and self.cells is not None and len(self.cells):
+        if self.cells is not None:
             self._due_ns = 0
-            self._show_measured(2**62)
+            self._show_measured(self.cells, 2**62)
 
 
 def log_model_scene(stream: Any, root: str, models: Sequence[Model], box: Box) -> None:
@@ -185,7 +180,7 @@ def log_operating_point(stream: Any, root: str, box: Box, way: list[Way]) -> Non
     when = [Times(np.array([way[-1].t_ns]))]
     rows = np.array([row[1:] for row in way])
     for side, error in (("before", rows[:, 2]), ("after", rows[:, 3])):
-        places = box.place(rows[:, 0], rows[:, 1], error) + np.float32([0.0, 0.0, 4 * LIFT])
+        places = box.place(rows[:, 0], rows[:, 1], error) + np.array([0.0, 0.0, 4 * LIFT], np.float32)
         point = rr.Points3D.columns(positions=places[-1:])
         stream.send_columns(f"{root}/{side}/operating_point", indexes=when, columns=point)
         stream.send_columns(

@@ -74,7 +74,7 @@ def log_recordings(stream: Any, recordings: Sequence[Any], models: Sequence[Mode
 def _log_recording(stream: Any, recording: Any, models: Sequence[Model]) -> None:
     samples, name = corrected_samples(recording, models), recording.name
     scene = ChannelScene(stream, name, models)
-    scene.prepare(samples)
+    box = scene.prepare(samples)
     log_text(stream, f"{name}/about", about_models(name, models))
     if "t_s" in recording:
         style_operating_point(stream, f"{name}/surface")
@@ -83,17 +83,16 @@ def _log_recording(stream: Any, recording: Any, models: Sequence[Model]) -> None
             streams.add(block)
             scene.add(block)
     else:
-        _log_points(stream, name, samples, scene)
+        _log_points(stream, name, samples, box)
     scene.finish()
 
 
-def _log_points(stream: Any, name: str, samples: np.ndarray, scene: ChannelScene) -> None:
+def _log_points(stream: Any, name: str, samples: np.ndarray, box: Box) -> None:
     errors = error_columns(samples)
-    assert scene.box is not None
     for side, error in (("before", errors[:, 0]), ("after", errors[:, 1])):
         known = np.isfinite(error)
         place = samples["temp_degC"][known], samples["rate_raw_dps"][known]
-        log_points(stream, f"{name}/surface/{side}/points", *place, error[known], scene.box)
+        log_points(stream, f"{name}/surface/{side}/points", *place, error[known], box)
 
 
 def _blocks(samples: np.ndarray) -> Iterator[np.ndarray]:
@@ -162,8 +161,8 @@ def _log_mismatch(stream: Any, name: str, own: Mapping[str, Any]) -> None:
     if not known.any():
         return
     largest = float(np.quantile(np.abs(before[known]), 0.98))
-    spans = [(float(v[known].min()), float(v[known].max())) for v in (temp, rate)]
-    box = make_box(*spans, largest)
+    seen, turned = temp[known], rate[known]
+    box = make_box((seen.min(), seen.max()), (turned.min(), turned.max()), largest)
     cells = Cells(box)
     cells.add(temp, rate, np.stack([before, np.where(np.isfinite(after), after, 0.0)], axis=-1))
     for side, grid in zip(("before", "after"), cells.means(), strict=True):

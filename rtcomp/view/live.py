@@ -39,7 +39,7 @@ class Channel:
         self.scene = ChannelScene(sink.stream, name, ())
         self.past = History(4)
         self.logged = self.missed = self.thinned = 0
-        self.dtype: np.dtype[Any] | None = None
+        self.dtype: np.dtype[Any] = CORRECTED
         self.heard = time.monotonic()
         self.running = False
         self._next_seq: int | None = None
@@ -214,7 +214,7 @@ class Viewer:
             return CORRECTED
         if layout.get("encoding", "struct") != "struct":
             raise WorkError(
-                f"{self.prefix}/{name}/rate carries {layout['encoding']}; the viewer reads struct: run without --encoding"
+                f"{self.prefix}/{name}/rate is {layout['encoding']}; the viewer reads struct: run without --encoding"
             )
         names, formats, offsets = zip(*layout["fields"], strict=True)
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout["size"]})
@@ -225,17 +225,16 @@ class Viewer:
         return [parse_model(json.dumps(document), f"model of {name}") for document in documents if document]
 
     def _log(self, channel: Channel, payloads: list[bytes]) -> None:
-        assert channel.dtype is not None
         if any(len(payload) != channel.dtype.itemsize for payload in payloads):
             raise WorkError(
                 f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes"
             )
         samples = np.frombuffer(b"".join(payloads), channel.dtype)
-        started, logged = time.thread_time(), channel.logged
+        started, values = time.thread_time(), channel.streams.values
         if channel.add(samples):
             self._unsure.add(channel.name)
         self.log_s += time.thread_time() - started
-        self.values += 8 * (channel.logged - logged)
+        self.values += channel.streams.values - values
 
     def _watch(self) -> None:
         now = time.monotonic()

@@ -1,14 +1,13 @@
 """rerun, imported late: our surfaces and streams need it, a vehicle does not."""
 
-import json
 import os
 import shutil
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from rtcomp.errors import WorkError
+from rtcomp.model import write_document
 
 APPLICATION = "rtcomp"
 TIMELINE = "time"
@@ -52,9 +51,20 @@ def quiet_environment() -> dict[str, str]:
     The program reads that switch from its configuration folder only, so ours gets a folder of its own (the SDK
     inside this process sends none).
     """
-    home = Path(tempfile.gettempdir()) / f"rtcomp-rerun-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-    folder = home / "rerun"
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    off = {"analytics_enabled": False, "analytics_id": "", "metadata": {}}
-    (folder / "analytics.json").write_text(json.dumps(off), encoding="utf-8")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rtcomp" / "rerun-config"
+    file = home / "rerun" / "analytics.json"
+    off = {
+        "analytics_enabled": False,
+        "analytics_id": "off",
+        "metadata": {},
+        "config_file_path": str(file),
+        "data_dir_path": str(file.parent),
+    }
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorkError(
+            f"cannot switch rerun's analytics off in {file.parent}: {error.strerror}; set XDG_CACHE_HOME"
+        ) from error
+    write_document(off, file)
     return os.environ | {"XDG_CONFIG_HOME": str(home)}

@@ -82,11 +82,11 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
     temp, rate, error = ticks(t0, t1), ticks(w0, w1), ticks(-e, e)
     inset = 0.09  # labels stand off the box, so that they do not cover the surface
     places = [
-        box.place(temp, w0, -e) + np.float32([0.0, -inset, 0.0]),
-        box.place(t1, rate, -e) + np.float32([inset, 0.0, 0.0]),
-        box.place(t0, w0, error) + np.float32([-inset, -inset, 0.0]),
-        np.float32([[0.0, -SIDE / 2 - 0.34, -HEIGHT / 2], [SIDE / 2 + 0.38, 0.0, -HEIGHT / 2]]),
-        np.float32([[-SIDE / 2 - inset, -SIDE / 2 - inset, HEIGHT / 2 + 0.16]]),
+        box.place(temp, w0, -e) + np.array([0.0, -inset, 0.0], np.float32),
+        box.place(t1, rate, -e) + np.array([inset, 0.0, 0.0], np.float32),
+        box.place(t0, w0, error) + np.array([-inset, -inset, 0.0], np.float32),
+        np.array([[0.0, -SIDE / 2 - 0.34, -HEIGHT / 2], [SIDE / 2 + 0.38, 0.0, -HEIGHT / 2]], np.float32),
+        np.array([[-SIDE / 2 - inset, -SIDE / 2 - inset, HEIGHT / 2 + 0.16]], np.float32),
     ]
     texts = [f"{v:g}" for axis in (temp, rate, error) for v in axis]
     texts += ["temperature [°C]", "rate [°/s]", "error [°/s]"]
@@ -115,7 +115,7 @@ def _log_legend(stream: Any, path: str, box: Box, steps: int = 33) -> None:
     )
     stream.log(f"{path}/bar", mesh, static=True)
     texts = [f"{v * box.limit_dps:+.3g} °/s" if v else "0" for v in (-1.0, 0.0, 1.0)]
-    ends = np.float32([[SIDE / 2 + 0.3, SIDE / 2 + 0.12, v * HEIGHT / 2] for v in (-1, 0, 1)])
+    ends = np.array([[SIDE / 2 + 0.3, SIDE / 2 + 0.12, v * HEIGHT / 2] for v in (-1, 0, 1)])
     stream.log(
         f"{path}/scale",
         rr.Points3D(ends, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.TEXT]),

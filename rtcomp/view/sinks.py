@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.parse
 import uuid
@@ -104,14 +105,20 @@ def _finish(stream: Any) -> None:
 
 @contextlib.contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    """A file beside `path` that takes its place at the end; after a crash it is what is left."""
+    """A file beside `path` that takes its place at the end."""
     if path.suffix != ".rrd":
         raise RequestError(f"--save {path}: wanted a file that ends in .rrd")
     if not os.access(path.parent, os.W_OK):
         raise RequestError(f"cannot write {path}; give a file in a folder that exists and can be written to")
     part = path.with_name(f".{path.stem}.part.rrd")
-    yield part
-    os.replace(part, path)
+    try:
+        yield part
+    except RequestError:  # nothing was shown; after any other end what was recorded is kept
+        part.unlink(missing_ok=True)
+        raise
+    finally:
+        if part.exists():
+            os.replace(part, path)
 
 
 def check_display() -> None:
@@ -137,9 +144,8 @@ def start_window(bind: str, memory_limit: str) -> tuple[Any, str]:
     """Start the viewer program with a window; returns it and the address to log to."""
     check_display()
     port = free_port(bind)
-    viewer = start_program(viewer_command(False, bind, port, 0, memory_limit))
     host = reachable(bind)
-    _wait_until(lambda: _answers(host, port), viewer)
+    viewer = start_program(viewer_command(False, bind, port, 0, memory_limit), [(host, port)])
     return viewer, stream_address(host, port)
 
 
@@ -148,9 +154,7 @@ def start_web(bind: str, web_port: int, memory_limit: str, files: Sequence[str] 
     host = reachable(bind)
     port, inner = free_port(bind), free_port(LOOPBACK)
     command = viewer_command(True, bind, port, inner, memory_limit)
-    viewer = start_program([*command, *files])
-    for at, listening in ((host, port), (host, inner)):
-        _wait_until(lambda at=at, listening=listening: _answers(at, listening), viewer)
+    viewer = start_program([*command, *files], [(host, port), (host, inner)])
     page = free_port(bind, web_port)
     end_page = serve_page(bind, page, f"http://{host}:{inner}", f"http://{host}:{port}")
 
@@ -177,17 +181,36 @@ def page_address(host: str, page_port: int, grpc: str) -> str:
     return f"http://{host}:{page_port}/?url={urllib.parse.quote(grpc, safe='')}"
 
 
-def start_program(command: list[str]) -> subprocess.Popen[bytes]:
-    """Start rerun's program, its analytics off, in a session of its own so that Ctrl-C reaches only us."""
+def start_program(command: list[str], listening: Sequence[tuple[str, int]] = ()) -> subprocess.Popen[bytes]:
+    """Start rerun's program, its analytics off, and wait until it answers at the addresses given.
+
+    It gets a session of its own, so that Ctrl-C reaches only us.
+
+    Raises WorkError when it ends or does not answer.
+    """
     quiet = quiet_environment() | {"RUST_LOG": os.environ.get("RUST_LOG", "error")}
-    return subprocess.Popen(  # noqa: S603 - the program that comes with the package, arguments as a list
-        command,
-        env=quiet,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
+    with tempfile.TemporaryFile() as told:
+        viewer = subprocess.Popen(  # noqa: S603 - the program that comes with the package, arguments as a list
+            command,
+            env=quiet,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=told,
+            start_new_session=True,
+        )
+        deadline = time.monotonic() + READY_S
+        while not all(_answers(host, port) for host, port in listening):
+            if viewer.poll() is not None:
+                told.seek(0)
+                lines = told.read().decode(errors="replace").strip().splitlines()
+                raise WorkError(
+                    f"rerun's viewer ended at once ({lines[-1] if lines else 'silently'}); try --save FILE.rrd"
+                )
+            if time.monotonic() > deadline:
+                _end(viewer)
+                raise WorkError(f"rerun's viewer did not answer within {READY_S:g} s; try --save FILE.rrd")
+            time.sleep(0.05)
+    return viewer
 
 
 def free_port(bind: str, wanted: int = 0) -> int:
@@ -213,22 +236,6 @@ def _answers(host: str, port: int) -> bool:
     with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=0.5):
         return True
     return False
-
-
-def _wait_until(ready: Callable[[], bool], viewer: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + READY_S
-    while not ready():
-        if viewer.poll() is not None:
-            told = (
-                (viewer.stderr.read() if viewer.stderr else b"").decode(errors="replace").strip().splitlines()
-            )
-            raise WorkError(
-                f"rerun's viewer ended at once: {told[-1] if told else 'it said nothing'}; try --save FILE.rrd"
-            )
-        if time.monotonic() > deadline:
-            _end(viewer)
-            raise WorkError(f"rerun's viewer did not answer within {READY_S:g} s; try --save FILE.rrd")
-        time.sleep(0.05)
 
 
 def _end(viewer: subprocess.Popen[bytes]) -> None:

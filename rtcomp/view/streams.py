@@ -55,6 +55,7 @@ class ChannelStreams:
 
     def __init__(self, stream: Any, name: str) -> None:
         self.stream, self.name = stream, name
+        self.values = 0  # numbers logged
         self._styled: set[str] = set()
         self._flags = 0
         self._seen_flags = 0
@@ -78,6 +79,7 @@ class ChannelStreams:
             self._styled.add(entity)
             style_lines(self.stream, path, *SERIES[entity])
         send_scalars(self.stream, path, t_ns, values)
+        self.values += values.size
 
     def _temperature(self, samples: np.ndarray) -> None:
         """Ten rows a second are enough for temperature."""

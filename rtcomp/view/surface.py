@@ -46,7 +46,7 @@ def log_surface(stream: Any, path: str, grid: Grid, box: Box, plain: tuple[int, 
         else [plain] * known.size,
     )
     stream.log(f"{path}/mesh", mesh, static=True)
-    raised = points + np.float32([0.0, 0.0, LIFT])
+    raised = points + np.array([0.0, 0.0, LIFT], np.float32)
     whole = np.isfinite(grid.error_dps)
     strips = [raised[i][whole[i]] for i in _lines(len(raised))]
     strips += [raised[:, j][whole[:, j]] for j in _lines(raised.shape[1])]
@@ -79,7 +79,7 @@ def log_tiles(stream: Any, path: str, grid: Grid, box: Box) -> None:
     corners = [
         box.place(grid.temp_degC[i] + s * half_T, grid.rate_dps[j] + r * half_w, error) for s, r in signs
     ]
-    raised = np.stack(corners, axis=1).reshape(-1, 3) + np.float32([0.0, 0.0, 3 * LIFT])
+    raised = np.stack(corners, axis=1).reshape(-1, 3) + np.array([0.0, 0.0, 3 * LIFT], np.float32)
     start = 4 * np.arange(len(error))[:, None]
     faces = np.concatenate([start + np.array(corner) for corner in ((0, 1, 2), (1, 3, 2))]).astype(np.uint32)
     mesh = rr.Mesh3D(
@@ -98,7 +98,7 @@ def log_points(stream: Any, path: str, temp_degC: Any, rate_dps: Any, error_dps:
     """Log recorded calibration points, coloured by their error [°/s]; arrays of shape `(n,)`."""
     rr = load_rerun()
     tint = colours.diverging(np.asarray(error_dps), box.limit_dps)
-    places = box.place(temp_degC, rate_dps, error_dps) + np.float32([0.0, 0.0, 2 * LIFT])
+    places = box.place(temp_degC, rate_dps, error_dps) + np.array([0.0, 0.0, 2 * LIFT], np.float32)
     stream.log(path, rr.Points3D(places, colors=tint, radii=[0.014]), static=True)
 
 
@@ -111,9 +111,9 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     floor = -box.limit_dps
+    outlines = [center + circle * width for center, width in zip(centers, widths, strict=True)]
     rings = [
-        box.place(*(c + circle * s).T, floor) + np.float32([0, 0, LIFT])
-        for c, s in zip(centers, widths, strict=True)
+        box.place(ring[:, 0], ring[:, 1], floor) + np.array([0, 0, LIFT], np.float32) for ring in outlines
     ]
     T, w = np.clip(centers, [box.temp_degC[0], box.rate_dps[0]], [box.temp_degC[1], box.rate_dps[1]]).T
     height = predict(list(models), w, T).error_dps
@@ -152,8 +152,9 @@ def log_validity(stream: Any, path: str, models: Sequence[Model], box: Box) -> N
         return
     (t0, t1), (w0, w1) = temp or box.temp_degC, rate or box.rate_dps
     ring = [(t0, w0), (t1, w0), (t1, w1), (t0, w1), (t0, w0)]
-    edges = [box.place(*np.array(ring).T, z) for z in (-box.limit_dps, box.limit_dps)]
-    edges += [box.place([t, t], [w, w], [-box.limit_dps, box.limit_dps]) for t, w in ring[:4]]
+    T, w = np.array(ring).T
+    edges = [box.place(T, w, z) for z in (-box.limit_dps, box.limit_dps)]
+    edges += [box.place([t, t], [r, r], [-box.limit_dps, box.limit_dps]) for t, r in ring[:4]]
     stream.log(path, rr.LineStrips3D(edges, colors=[colours.VALIDITY], radii=[-0.6]), static=True)
 
 
