@@ -49,6 +49,11 @@ def _seep(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
     return m + p["strength"] * p["sign"] / HOUR * p["knee"] * (1 - np.exp(-s.t_s / tau))
 
 
+def _seep_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    mean_slope = p["knee"] * (1 - np.exp(-1 / p["knee"])) / s.duration_s
+    return {"c_dps_per_s": Known(p["strength"] * p["sign"] / HOUR * mean_slope, exact=False)}
+
+
 def _lookup_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
     return {
         "spacing_K": float(rng.uniform(6, 14)),
@@ -99,7 +104,7 @@ CHANGES = (
         _step_draw,
         _bias_step,
         transferable=False,
-        truth=_step_truth("amplitude_dps", 1 / HOUR),
+        truth=_step_truth("step_dps", 1 / HOUR),
     ),
     Effect(
         "scale_step",
@@ -110,9 +115,9 @@ CHANGES = (
         _scale_step,
         50.0,
         transferable=False,
-        truth=_step_truth("amplitude_ppm", 1.0),
+        truth=_step_truth("step_ppm", 1.0),
     ),
-    Effect("bias_drift", ("time",), "electronics", ("zero/cycle",), _seep_draw, _seep),
+    Effect("bias_drift", ("time",), "electronics", ("zero/cycle",), _seep_draw, _seep, truth=_seep_truth),
     Effect(
         "compensation_table",
         ("temperature",),

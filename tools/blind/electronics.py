@@ -39,6 +39,14 @@ def _rail_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
     return {"top_dps": float(np.max(np.abs(scene.omega_dps))), "softness": float(rng.uniform(0.005, 0.05))}
 
 
+def _rail_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    return {"limit_dps": Known(p["top_dps"] * (1 - p["strength"] + p["softness"]), exact=False)}
+
+
+def _adler_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    return {"lock_dps": Known(p["strength"], exact=False)}
+
+
 def _knee(rng: np.random.Generator, scene: Scene) -> float:
     """So low that one to five samples in a hundred lie above the knee (on a table: its highest levels)."""
     size = np.abs(scene.omega_dps)
@@ -121,6 +129,7 @@ ELECTRONICS = (
         unit=0.02,
         linear=False,
         limit=0.4,
+        truth=_adler_truth,
     ),
     Effect(
         "saturation",
@@ -133,6 +142,7 @@ ELECTRONICS = (
         linear=False,
         limit=0.5,
         fixed=_knee,
+        truth=_rail_truth,
     ),
     Effect(
         "quantization",

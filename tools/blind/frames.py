@@ -22,10 +22,13 @@ def _freeze(columns: Columns, p: Parameters) -> Columns:
     n, dt = len(columns["t_s"]), columns["t_s"][1] - columns["t_s"][0]
     moving = np.flatnonzero(np.abs(columns["rate_dps"]) > 0.5)
     out = {name: values.copy() for name, values in columns.items()}
+    fresh = np.ones(n, bool)
     for first in rng.choice(moving, 6, replace=False):
         last = min(n, int(first + rng.uniform(4, 25) / dt))
-        for name in ("rate_dps", "temp_degC", "counter"):
+        fresh[first + 1 : last] = False
+        for name in ("rate_dps", "temp_degC"):
             out[name][first:last] = out[name][first]
+    out["counter"] = np.mod(np.cumsum(fresh) - 1, COUNTER)
     return out
 
 

@@ -153,7 +153,7 @@ def _sine(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
 
 def _sine_truth(s: Scene, p: Parameters) -> dict[str, Known]:
     cubic = -p["sign"] * p["strength"] ** 2 / 6 * np.radians(1.0) ** 2
-    return {"c3_per_dps2": Known(cubic, exact=False)}
+    return {"c3_per_dps2": Known(cubic)}
 
 
 def _gradient(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
@@ -175,6 +175,11 @@ def _ageing_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
 def _ageing(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
     tau = p["knee"] * s.duration_s
     return m + 1e-6 * p["strength"] * p["sign"] * p["knee"] * np.log1p(s.t_s / tau) * s.omega_dps
+
+
+def _ageing_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    mean_slope = p["knee"] * np.log1p(1 / p["knee"]) / s.duration_s
+    return {"c_ppm_per_s": Known(float(p["strength"] * p["sign"] * mean_slope), exact=False)}
 
 
 def _warm_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
@@ -261,6 +266,7 @@ OPTICS = (
         _ageing_draw,
         _ageing,
         100.0,
+        truth=_ageing_truth,
     ),
     Effect(
         "bias_warmup",

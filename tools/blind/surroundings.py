@@ -27,6 +27,10 @@ def _tilted_mass(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
     return m + p["strength"] * p["sign"] / HOUR * _on_road(s, s.road().accel_lat) / GRAVITY
 
 
+def _tilted_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    return {"c1_dps_per_g": Known(p["strength"] * p["sign"] / HOUR)}
+
+
 def _shake_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
     return {"seed": int(rng.integers(1 << 30)), "sign": float(rng.choice([-1, 1])), "bandwidth_hz": 40.0}
 
@@ -95,7 +99,7 @@ def _eccentric_truth(s: Scene, p: Parameters) -> dict[str, Known]:
 
 
 SURROUNDINGS = (
-    Effect("acceleration", ("acceleration",), "optics", ROADS, _sign, _tilted_mass, 3.0),
+    Effect("acceleration", ("acceleration",), "optics", ROADS, _sign, _tilted_mass, 3.0, truth=_tilted_truth),
     Effect("vibration_rectification", ("vibration", "speed"), "optics", ROADS, _shake_draw, _rectified, 3.0),
     Effect(
         "misalignment", ("acceleration", "angular_acceleration"), "motion", ROADS, _sign, _cross_axis, 5.0

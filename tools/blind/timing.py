@@ -36,7 +36,7 @@ def _skew(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
 
 
 def _skew_truth(s: Scene, p: Parameters) -> dict[str, Known]:
-    return {"delay_s": Known(p["strength"], exact=False)}
+    return {"delay_s": Known(p["strength"])}
 
 
 def _crystal_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
@@ -68,6 +68,10 @@ def _jitter(m: np.ndarray, s: Scene, p: Parameters) -> np.ndarray:
 
 def _jitter_variance(s: Scene, p: Parameters) -> np.ndarray:
     return (p["strength"] * s.road().rate(s.t_s, 1)) ** 2
+
+
+def _jitter_truth(s: Scene, p: Parameters) -> dict[str, Known]:
+    return {"sigma_s": Known(p["strength"], exact=False)}
 
 
 def _filter_draw(rng: np.random.Generator, scene: Scene) -> Parameters:
@@ -126,6 +130,7 @@ TIMING = (
         linear=False,
         transferable=False,
         variance=_jitter_variance,
+        truth=_jitter_truth,
         limit=0.3,
     ),
     Effect(
