@@ -74,7 +74,8 @@ def _chain(rng: np.random.Generator, wanted: Wish, planted: list[Planted]) -> Ch
     return Chain(
         seed=int(rng.integers(1 << 40)),
         offset_dps=float(rng.normal(0, 2e-3)),
-        scale_ppm=float(rng.normal(0, 150)),
+        # with a simulated gain law of up to 30 % a scale error of the output is one of the rate only when it is small
+        scale_ppm=float(rng.normal(0, 150 if law is None else 2)),
         lsb=float(rng.choice([0.0, 0.3])),
         temp_lsb_K=float(wanted.notes["temp_lsb_K"]),
         temp_noise_K=float(rng.uniform(0.005, 0.02)),
