@@ -23,6 +23,7 @@ from training.diagnose.naming import (
 from training.diagnose.search import Candidate, Null
 
 PREFER = 2.0
+SWAPS = 3
 TABLE = "compensation_table"
 PHASES = 12
 BIAS, SCALE, HEADING = "bias", "scale", "heading"
@@ -65,11 +66,17 @@ def _too_weak(model: Model, strengths: list[float], i: int) -> bool:
     return False
 
 
-def with_classes(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
-    """Give every part its alternatives: effects that explain the data nearly as well in its place."""
+def with_classes(
+    library: Library, domains: Sequence[Domain], null: Null, model: Model
+) -> tuple[Model, list[tuple[int, Model]]]:
+    """Give every part its alternatives: effects that explain the data nearly as well in its place.
+
+    Returns the model and, per alternative, (index of the part, the model with the alternative in its place).
+    """
     strengths = partial_chi2(model)
     reference = score(model)
-    parts = []
+    parts: list[Part] = []
+    rivals: list[tuple[int, Model]] = []
     for i, part in enumerate(model.parts):
         rest = [p for j, p in enumerate(model.parts) if j != i]
         without = build(rest, domains, model.fit.weights)
@@ -78,29 +85,29 @@ def with_classes(library: Library, domains: Sequence[Domain], null: Null, model:
         if part.effect == TABLE:
             found = {e: c for e, c in found.items() if e == "polarization_ripple"}
         taken = {p.effect for p in model.parts}
-        close = {}
+        close: dict[str, float] = {}
+        models: dict[str, Model] = {}
         mine = found[part.effect].excess if part.effect in found else 0.0
         for effect, candidate in found.items():
             if effect in taken or _contains(part, candidate) or candidate.excess < mine - 3.0 * allowed - 0.5 * mine:
                 continue
-            cost = reference - _rival_score(library, domains, null, without, candidate, len(part.points))
-            if cost < allowed:
-                close[effect] = cost
-        close |= _table_rival(domains, without, part, reference, allowed, library)
+            rival = _rival(library, domains, null, without, candidate, len(part.points))
+            if reference - score(rival) < allowed:
+                close[effect], models[effect] = reference - score(rival), rival
+        table = _table(domains, without, part, library)
+        if table is not None and reference - score(table) < allowed:
+            close[TABLE], models[TABLE] = reference - score(table), table
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
-    return Model(parts, model.frame, model.fit)
+        rivals += [(i, rival) for rival in models.values()]
+    return Model(parts, model.frame, model.fit), rivals
 
 
-def _table_rival(
-    domains: Sequence[Domain], without: Model, part: Part, reference: float, allowed: float, library: Library
-) -> dict[str, float]:
-    """What a sawtooth in temperature costs in the place of a ripple (empty where it is no rival)."""
+def _table(domains: Sequence[Domain], without: Model, part: Part, library: Library) -> Model | None:
+    """A sawtooth in temperature in the place of a ripple (None where it is no rival)."""
     group = next((g for g in library.groups if g.effect == TABLE), None)
     if group is None or part.effect != "polarization_ripple":
-        return {}
-    model = sawtooth_model(domains, without, group, part)
-    cost = reference - score(model)
-    return {TABLE: cost} if cost < allowed else {}
+        return None
+    return sawtooth_model(domains, without, group, part)
 
 
 def sawtooth_model(domains: Sequence[Domain], without: Model, group: Group, ripple: Part) -> Model:
@@ -125,28 +132,22 @@ def _contains(part: Part, rival: Candidate) -> bool:
 
 
 def preferred(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
-    """The model with classes, every part replaced by a member of its class that scores clearly better in its place."""
-    model = with_classes(library, domains, null, model)
-    for i, part in enumerate(model.parts):
-        better = min(part.alternatives.items(), key=lambda item: item[1], default=None)
-        if better is None or better[1] > -PREFER:
-            continue
-        rest = [p for j, p in enumerate(model.parts) if j != i]
-        without = build(rest, domains, model.fit.weights)
-        if better[0] == TABLE:
-            group = next(g for g in library.groups if g.effect == TABLE)
-            parts = sawtooth_model(domains, without, group, part).parts
-            parts[-1].p_value = part.p_value
-        else:
-            candidate = residual_scan(library, without, null)[better[0]]
-            parts = [*rest, Part(candidate.variant.group, [candidate.variant.parameters], part.p_value)]
-            parts = refine(parts, len(parts) - 1, domains, without.fit.weights)
-        return with_classes(library, domains, null, build(parts, domains, without.fit.weights))
-    return model
+    """The model with classes, a part replaced by a member of its class where that scores clearly better."""
+    for _ in range(SWAPS):
+        model, rivals = with_classes(library, domains, null, model)
+        best = max(rivals, key=lambda item: score(item[1]), default=None)
+        if best is None or score(best[1]) < score(model) + PREFER:
+            return model
+        index, better = best
+        better.parts[-1].p_value = model.parts[index].p_value
+        model = better
+    return with_classes(library, domains, null, model)[0]
 
 
-def _rival_score(library: Library, domains: Sequence[Domain], null: Null, without: Model, candidate: Candidate, points: int) -> float:
-    """Best score with the rival in the part's place, given as many shape points as the part has."""
+def _rival(
+    library: Library, domains: Sequence[Domain], null: Null, without: Model, candidate: Candidate, points: int
+) -> Model:
+    """The model with the rival in the part's place, given as many shape points as the part has."""
     group = candidate.variant.group
     parts = [*without.parts, Part(group, [candidate.variant.parameters])]
     weights = without.fit.weights
@@ -157,4 +158,4 @@ def _rival_score(library: Library, domains: Sequence[Domain], null: Null, withou
             break
         grown = Part(group, [*model.parts[-1].points, again.variant.parameters])
         model = build(refine([*model.parts[:-1], grown], len(parts) - 1, domains, weights), domains, weights)
-    return score(model)
+    return model

@@ -69,7 +69,9 @@ def _unknown_term(analysis: Analysis) -> Term | None:
     joint = empirical(unknown, analysis.domains, model)
     values = np.concatenate([[0.0], joint.fit.beta[joint.slices()[-1]]])
     works: list[Work] = [d.work for d in analysis.domains]
-    knots = knots_of(np.concatenate([VALUES[unknown.driver][0](w) for w in works]))
+    knots = knots_of(
+        np.concatenate([VALUES[unknown.driver][0](w) for w in works]), int(unknown.part.points[0]["hats"])
+    )
     if unknown.driver == "time_since_power_on":
         knots = np.exp(knots) - 60.0
     parameters: dict[str, Any] = {"driver": driver, "times_rate": times_rate, "knots": knots.tolist(), "values_dps": values.tolist()}

@@ -11,7 +11,7 @@ import numpy as np
 from training.diagnose.library import PPM, Group, Parameters, Survey
 from training.diagnose.work import FloatArray, Work
 
-HATS = 9
+HATS = (9, 21)  # a smooth function, and one that can bend within a few percent of the range
 Driver = Callable[[Work], FloatArray]
 
 
@@ -44,13 +44,14 @@ VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
     "acceleration": (lambda k: k.extra["accel"], False, frozenset({"acceleration"})),
     "vibration": (lambda k: k.extra["vib2"], False, frozenset({"vibration"})),
 }
+BENDING = frozenset({"temperature", "rate", "rate_times_temperature"})
 CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
     "heading": ("", frozenset({"heading"})),
     "rate_times_heading": ("w", frozenset({"heading", "rate"})),
 }
 
 
-def knots_of(values: FloatArray, count: int = HATS) -> FloatArray:
+def knots_of(values: FloatArray, count: int) -> FloatArray:
     """Corners: half by rank, half by range, so that neither crowded nor rare values are without one."""
     ranks = np.quantile(values, np.linspace(0.0, 1.0, count))
     span = np.linspace(ranks[0], ranks[-1], count)
@@ -73,21 +74,27 @@ def generic_groups(works: list[Work]) -> tuple[Group, ...]:
             continue
         if np.ptp(pooled) <= 0.0:
             continue
-        knots = knots_of(pooled)
-        if np.any(np.diff(knots) <= 0.0):
-            continue
-        groups.append(_hat_group(driver, value, times_rate, needs, knots))
+        fine = HATS if driver in BENDING else HATS[:1]
+        sets = {float(n): knots_of(pooled, n) for n in fine}
+        sets = {n: knots for n, knots in sets.items() if np.all(np.diff(knots) > 0.0)}
+        if sets:
+            groups.append(_hat_group(driver, value, times_rate, needs, sets))
     return (*groups, *(_cyclic_group(driver, prefix, needs) for driver, (prefix, needs) in CYCLIC.items()))
 
 
-def _hat_group(driver: str, value: Driver, times_rate: bool, needs: frozenset[str], knots: FloatArray) -> Group:
-    names = [(f"value_{i}", "ppm" if times_rate else "dps") for i in range(1, len(knots))]
+def _hat_group(
+    driver: str, value: Driver, times_rate: bool, needs: frozenset[str], sets: dict[float, FloatArray]
+) -> Group:
+    unit = "ppm" if times_rate else "dps"
 
     def columns(work: Work, parameters: Parameters) -> list[FloatArray]:
-        basis = hats(value(work), knots)
+        basis = hats(value(work), sets[parameters["hats"]])
         return [PPM * work.w * column for column in basis] if times_rate else basis
 
-    return Group(driver, _one, columns, lambda p: names, needs)
+    def names(parameters: Parameters) -> list[tuple[str, str]]:
+        return [(f"value_{i}", unit) for i in range(1, len(sets[parameters["hats"]]))]
+
+    return Group(driver, lambda survey: [{"hats": n} for n in sets], columns, names, needs)
 
 
 def _cyclic_group(driver: str, prefix: str, needs: frozenset[str]) -> Group:

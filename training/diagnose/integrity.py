@@ -22,6 +22,7 @@ GAIN_TOLERANCE = 0.03
 PAUSE_S = 5.0
 MIN_ROWS = 40
 LONG_RUN = 1e-9
+RARE = 0.02  # repeats rarer than this are not the codes' coarseness
 
 
 @dataclass
@@ -205,23 +206,19 @@ def _frozen(result: Checked) -> None:
     lengths = ends - starts + 1
     chance = min(0.95, max(float(same.mean()), 1.0 / len(rate)))
     rails = np.abs(rate) >= 0.999 * np.max(np.abs(rate[result.valid]))
-    middle = np.median(rate[np.abs(ref) < 0.5]) if np.any(np.abs(ref) < 0.5) else 0.0
+    resting = _resting_code(rate, ref)
     changes = np.diff(rate - ref)[result.valid[1:] & result.valid[:-1]]
     jitter = max(1.4826 * float(np.median(np.abs(changes))), float(np.quantile(np.abs(changes), 0.9)) / 1.65)
     steps = np.unique(np.abs(np.diff(rate[result.valid])))
     lsb = float(steps[1]) if len(steps) > 1 else 0.0
     chosen = []
     for start, end, length in zip(starts, ends, lengths, strict=True):
-        if length < 4 or rails[start] or len(rate) * chance ** (length - 1) > LONG_RUN:
-            continue
         moved = float(np.ptp(ref[start : end + 1]))
-        still = moved < 4.0 * jitter + 2.0 * lsb
-        near_zero = abs(rate[start] - middle) < 3.0 * lsb + 3.0 * jitter + 1e-9
-        if still and (chance > 0.02 or near_zero) and not _sensor_stuck(result, start, end):
-            continue
-        if near_zero and np.max(np.abs(ref[start : end + 1])) < 1.0 and not _sensor_stuck(result, start, end):
-            continue
-        chosen.append((start, end))
+        unlikely = chance < RARE and len(rate) * chance ** (length - 1) < LONG_RUN
+        contradicted = length >= 4 and moved > 4.0 * jitter + 2.0 * lsb
+        parked = rate[start] == resting and np.max(np.abs(ref[start : end + 1])) < 1.0
+        if _counter_stuck(result, start, end) or (not rails[start] and not parked and (unlikely or contradicted)):
+            chosen.append((start, end))
     if not chosen:
         return
     for start, end in chosen:
@@ -234,7 +231,16 @@ def _frozen(result: Checked) -> None:
     ))
 
 
-def _sensor_stuck(result: Checked, start: int, end: int) -> bool:
+def _resting_code(rate: FloatArray, ref: FloatArray) -> float:
+    """The code most often read at low rates: a dead band sticks there, and that is physics and not a frozen frame."""
+    slow = rate[np.abs(ref) < 0.5]
+    if not len(slow):
+        return float("nan")
+    values, counts = np.unique(slow, return_counts=True)
+    return float(values[np.argmax(counts)])
+
+
+def _counter_stuck(result: Checked, start: int, end: int) -> bool:
     """Whether the frame counter stood still as well: then the frame was frozen whatever the rate did."""
     counter = result.columns.get("counter")
     return counter is not None and end > start and float(np.ptp(counter[start : end + 1])) == 0.0

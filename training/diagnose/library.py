@@ -182,7 +182,7 @@ DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
 
 def _dead_grid(survey: Survey) -> list[Parameters]:
     low, high = max(1e-3, 2e-5 * survey.rate_max, CLEAR_OF_NOISE * survey.rate_noise_dps), min(3.0, 0.1 * survey.rate_max)
-    widths = np.geomspace(low, high, 14) if low < 0.5 * high else []
+    widths = np.geomspace(low, high, 28) if low < 0.5 * high else []
     return [{"lock_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
 
 
@@ -245,7 +245,7 @@ def _after(work: Work, p: Parameters) -> FloatArray:
 
 def _ageing(work: Work, p: Parameters) -> list[FloatArray]:
     late = np.maximum(work.t, 0.0)
-    shape = {0: late, 1: np.sqrt(late), 2: np.log1p(late / 600.0)}
+    shape = {0: late, 1: np.sqrt(late), 2: np.log1p(late / 600.0), 3: np.log1p(late / 3600.0)}
     return [PPM * work.w * shape[int(p["shape"])]]
 
 
@@ -315,8 +315,8 @@ GROUPS: tuple[Group, ...] = (
     Group("compensation_table", _sawtooth_grid, _sawtooth, _names(("amplitude_dps", "dps")), TEMP, ("period_K", "phase_K")),
     Group("bias_drift", _single, lambda k, p: [k.t], _names(("c_dps_per_s", "dps/s")), TIME),
     Group(
-        "source_ageing", lambda s: [{"shape": k} for k in (0.0, 1.0, 2.0)], _ageing,
-        lambda p: [[("c_ppm_per_s", "ppm/s"), ("c_ppm_per_sqrt_s", "ppm/s^0.5"), ("c_ppm_per_ln", "ppm")][int(p["shape"])]],
+        "source_ageing", lambda s: [{"shape": k} for k in (0.0, 1.0, 2.0, 3.0)], _ageing,
+        lambda p: [[("c_ppm_per_s", "ppm/s"), ("c_ppm_per_sqrt_s", "ppm/s^0.5"), ("c_ppm_per_ln", "ppm"), ("c_ppm_per_ln", "ppm")][int(p["shape"])]],
         RATE | TIME,
     ),
     Group("bias_warmup", _taus(60.0, 2500.0, 10), lambda k, p: [_decay(k, p)], _names(("amplitude_dps", "dps")), TIME | {"power_on"}, ("tau_s",)),

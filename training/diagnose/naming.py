@@ -20,6 +20,8 @@ CLASS_SHARE = 0.012
 SHARED_FAMILY_SHARE = 0.05
 OTHER_FAMILY_SHARE = 0.004
 STRONGER = 10.0
+ONE_SHAPE = frozenset({"dead_band"})
+BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
 ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 
@@ -141,7 +143,7 @@ def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[lis
 
 def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candidate | None:
     """The step to take: a new effect where it is significant, unless a richer shape of a chosen one does as well."""
-    room = {p.effect: len(p.points) <= MAX_SHAPES for p in parts}
+    room = {p.effect: len(p.points) <= (0 if p.effect in ONE_SHAPE else MAX_SHAPES) for p in parts}
     points = {p.effect: p.points for p in parts}
     shapes = [c for e, c in found.items() if room.get(e, False) and _differs(c.variant.parameters, points[e])]
     fresh = [c for e, c in found.items() if e not in room] if len(parts) < MAX_EFFECTS else []
@@ -165,10 +167,35 @@ def _differs(new: Parameters, points: list[Parameters]) -> bool:
 
 
 def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
-    """Choose effects step by step; after each step the chosen ones may be swapped for others."""
+    """Choose effects step by step; names whose coefficient physics forbids are barred and the choice made again."""
+    barred: set[str] = set()
+    for _ in range(len(BOUNDS) + 1):
+        model = _chosen(library, domains, null, barred)
+        forbidden = {p.effect for p, where in zip(model.parts, model.slices(), strict=True) if _forbidden(p, model, where)}
+        if not forbidden:
+            break
+        barred |= forbidden
+    return model
+
+
+def _forbidden(part: Part, model: Model, where: slice) -> bool:
+    """Whether a coefficient lies outside its physical range with its error against it twice.
+
+    A dead band takes the whole rate (depth one), a saturation cannot add gain beyond its knee.
+    """
+    if part.effect not in BOUNDS:
+        return False
+    low, high = BOUNDS[part.effect]
+    value = float(model.fit.beta[where][0])
+    error = 2.0 / float(np.sqrt(max(model.fit.information[where, where][0, 0], 1e-300)))
+    return value + error < low or value - error > high
+
+
+def _chosen(library: Library, domains: Sequence[Domain], null: Null, barred: set[str]) -> Model:
+    """Forward steps; after each the chosen effects may be swapped for others."""
     model = build([], domains)
     for _ in range(MAX_EFFECTS * (1 + MAX_SHAPES)):
-        found = residual_scan(library, model, null)
+        found = {e: c for e, c in residual_scan(library, model, null).items() if e not in barred}
         step = _next(found, model.parts, null)
         if step is None:
             break
@@ -176,11 +203,11 @@ def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
         parts = refine(parts, index, domains, model.fit.weights)
         model = build(parts, domains, model.fit.weights)
         if len(model.parts) > 1:
-            model = swapped(library, domains, null, model)
+            model = swapped(library, domains, null, model, barred)
     return model
 
 
-def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
+def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Model, barred: set[str]) -> Model:
     """Replace a part by another group, or leave it out, where that scores better."""
     for i in range(len(model.parts)):
         if i >= len(model.parts):
@@ -190,7 +217,7 @@ def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Mode
         if 2.0 * (model.fit.loglik - without.fit.loglik) - null.mean[model.parts[i].effect] < null.excess_at(ALPHA):
             model = without
             continue
-        rival = best_rival(library, domains, null, without, {p.effect for p in model.parts})
+        rival = best_rival(library, domains, null, without, barred | {p.effect for p in model.parts})
         if rival is not None and score(rival) > score(model) + 2.0:
             model = rival
     return model

@@ -8,13 +8,15 @@ import numpy as np
 from training.diagnose.design import Domain, Library
 from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
-from training.diagnose.naming import ALPHA, Model, Part, build, partial_chi2, residual_scan, score
+from training.diagnose.naming import ALPHA, EXTRA_COLUMN, Model, Part, build, partial_chi2, residual_scan, score
 from training.diagnose.search import Null, surrogate_null
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
 REMAINDER_ALPHA = 1e-3
 STANDS = 0.9
+SEVERAL_STAND = 0.97  # one smooth function in the place of several names: simpler, if it explains as much
+TURNING = frozenset({"magnetic", "table_eccentricity"})
 TIME_WEIGHT = 0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
 TIME_LIKE = frozenset({"time", "rate_times_time", "time_since_power_on"})
 TIME_ALPHA = 1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
@@ -61,6 +63,12 @@ def unexplained(
     Nothing named and something there: unknown.  Named, but a smooth function of a driver adds a good part of what
     the name explains: the name is withdrawn.  Less: a remainder.
     """
+    for scale_like in (False, True):
+        several = [i for i, p in enumerate(model.parts) if _scale_like(p.group) == scale_like and p.group.effect not in TURNING]
+        if sum(len(model.parts[i].points) for i in several) > 1:
+            withdrawn = _withdrawn(generic, domains, model, null, several, SEVERAL_STAND)
+            if withdrawn is not None and withdrawn[1] is not None and _related(model.parts[several[0]].group, withdrawn[1].driver):
+                return withdrawn
     found = residual_scan(generic, model, null)
     if not found:
         return model, None
@@ -85,7 +93,7 @@ def unexplained(
 
 
 def _withdrawn(
-    generic: Library, domains: Sequence[Domain], model: Model, null: Null, related: list[int]
+    generic: Library, domains: Sequence[Domain], model: Model, null: Null, related: list[int], stands: float = STANDS
 ) -> tuple[Model, Unknown | None] | None:
     """Take the related names back and let a smooth function of the best driver stand in their place.
 
@@ -97,8 +105,9 @@ def _withdrawn(
     driver, top = max(found.items(), key=lambda item: item[1].excess)
     part = Part(top.variant.group, [top.variant.parameters], null.p_value(top.excess))
     joint = build([*kept.parts, part], domains, kept.fit.weights)
-    named_gain = score(model) - score(kept)
-    if part.p_value > ALPHA or score(joint) - score(kept) < STANDS * named_gain:
+    searched = sum(len(model.parts[i].group.continuous) * len(model.parts[i].points) for i in related)
+    named_gain = score(model) - score(kept) - EXTRA_COLUMN * searched
+    if part.p_value > ALPHA or score(joint) - score(kept) < stands * named_gain:
         return None
     names = [model.parts[i].effect for i in related]
     return kept, Unknown(driver, part, part.p_value, partial_chi2(joint)[-1], names, named=True)
@@ -106,10 +115,14 @@ def _withdrawn(
 
 def _related(group: Group, driver: str) -> bool:
     """Whether a remainder on this driver can be what the name failed to explain: both scale-like or both bias-like."""
-    scale_like = bool({"rate"} & group.needs)
-    if driver in CYCLIC or group.effect in ("magnetic", "table_eccentricity"):
-        return (driver in CYCLIC) == (group.effect in ("magnetic", "table_eccentricity"))
-    return scale_like == (driver in RATE_DRIVERS)
+    if driver in CYCLIC or group.effect in TURNING:
+        return (driver in CYCLIC) == (group.effect in TURNING)
+    return _scale_like(group) == (driver in RATE_DRIVERS)
+
+
+def _scale_like(group: Group) -> bool:
+    """Whether the effect needs turning: then it is not one of the bias."""
+    return "rate" in group.needs
 
 
 def empirical(unknown: Unknown, domains: Sequence[Domain], model: Model) -> Model:
