@@ -23,7 +23,8 @@ from rtcomp.plan import (
     TEMPERATURE,
     Plan,
 )
-from rtcomp.step import LAST_COIL, NEVER, ONE, predict_error, sigma, thermal_update
+from rtcomp.plausibility import doubt_flags, is_plausible, rate_flags
+from rtcomp.step import LAST_COIL, NEVER, ONE, T_THERMAL, predict_error, sigma, thermal_update
 
 CAUSES = (
     "error_frame",
@@ -34,10 +35,11 @@ CAUSES = (
     "counter_repeat",
     "counter_jump",
     "not_available",
+    "implausible",
 )
-"""Why a frame was rejected, in the order of the counts."""
-ERROR_FRAME, REMOTE_FRAME, ID_KIND, LENGTH, CRC, COUNTER_REPEAT, COUNTER_JUMP, NOT_AVAILABLE = range(
-    len(CAUSES)
+"""Why a frame (the last two: one signal of it) was rejected, in the order of the counts."""
+ERROR_FRAME, REMOTE_FRAME, ID_KIND, LENGTH, CRC, COUNTER_REPEAT, COUNTER_JUMP, NOT_AVAILABLE, IMPLAUSIBLE = (
+    range(len(CAUSES))
 )
 GOOD, IGNORED = -1, -2
 TOTALS = ("frames", "samples", "lost_frames", "clock_steps", "ignored")
@@ -67,6 +69,13 @@ class LoopState(NamedTuple):
     scores: (
         np.ndarray
     )  # float64 (channels, 3): samples with a reference, sums of squared raw and corrected error
+    doubts: (
+        np.ndarray
+    )  # int64 (channels, 2): temperatures not believed since the last that was; of housing, of coil
+    rates: np.ndarray  # float64 (channels, 2): last rate, last rate that was plausible
+    since: (
+        np.ndarray
+    )  # int64 (channels, 4) ns: housing, coil, rate have their value; the last plausible rate came
 
 
 def new_loop_state(plan: Plan) -> LoopState:
@@ -82,6 +91,9 @@ def new_loop_state(plan: Plan) -> LoopState:
         np.zeros(len(TOTALS), np.int64),
         np.zeros(32, np.int64),
         np.zeros((channels, 3)),
+        np.zeros((channels, 2), np.int64),
+        np.full((channels, 2), np.nan),
+        np.full((channels, 4), NEVER, np.int64),
     )
 
 
@@ -240,13 +252,16 @@ def take_message(plan, c, s, loop, frames, words, i, m, out, out_channel, writte
             put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, value, out, written)
             written += ONE
         elif not np.isnan(value):
-            take_slow(c, s, loop, ch, role, t_ns, value)
+            take_slow(plan, c, s, loop, ch, role, t_ns, value)
     return written
 
 
 @hot_kernel
-def take_slow(c, s, loop, ch, role, t_ns, value):
+def take_slow(plan, c, s, loop, ch, role, t_ns, value):
     """A temperature or a reference: held, with its time."""
+    if role != REFERENCE and not is_plausible(plan, c, s, loop, ch, role, t_ns, value):
+        loop.rejected[IMPLAUSIBLE] += 1
+        return
     loop.values[ch, role] = value
     loop.times[ch, role] = t_ns
     if role == TEMPERATURE:
@@ -271,7 +286,9 @@ def put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, rate, out, row):
         flags |= SATURATED
     if plan.channels[ch]["valid"] >= 0 and not is_ok(plan, frames, words, i, ch):
         flags |= FAULT
-    flags |= temperature_flags(plan, c, loop, ch, t_ns)
+    flags |= temperature_flags(plan, c, s, loop, ch, t_ns)
+    if plan.channels[ch]["rate_stuck_ns"] > 0 or plan.channels[ch]["rate_slope"] < np.inf:
+        flags |= rate_flags(plan, loop, ch, t_ns, rate)
     correction = 0.0
     std = np.nan
     if c.group_start[ch] == c.group_start[ch + ONE]:
@@ -324,16 +341,20 @@ def is_ok(plan, frames, words, i, ch):
 
 
 @hot_kernel
-def temperature_flags(plan, c, loop, ch, t_ns):
+def temperature_flags(plan, c, s, loop, ch, t_ns):
     """Missing or stale: of the housing's temperature always, of the coil's where the model needs it."""
     taken = loop.times[ch, TEMPERATURE]
     if taken == NEVER:
         return MISSING
-    flags = STALE if abs(t_ns - taken) > plan.channels[ch]["max_age_ns"] else 0
+    max_age_ns = plan.channels[ch]["max_age_ns"]
+    ahead_ns = s.times[ch, T_THERMAL] - t_ns  # above 0 while time, set back a little, has not caught up
+    flags = STALE if abs(t_ns - taken) > max_age_ns or ahead_ns > max_age_ns else 0
+    flags |= doubt_flags(loop, ch, TEMPERATURE, plan.channels[ch]["temp_stuck_ns"])
     if c.needs[ch, 1]:
         taken = loop.times[ch, COIL]
         if taken == NEVER:
             flags |= MISSING
         elif abs(t_ns - taken) > plan.channels[ch]["coil_max_age_ns"]:
             flags |= STALE
+        flags |= doubt_flags(loop, ch, COIL, plan.channels[ch]["coil_stuck_ns"])
     return flags

@@ -69,6 +69,10 @@ class Flag(IntFlag):
     SENSOR_FAULT = 1 << 9
     GAP_BEFORE = 1 << 10
     MODEL_SWAPPED = 1 << 11
+    TEMPERATURE_IMPLAUSIBLE = 1 << 12  # the latest jumped more than the map allows and was not taken
+    TEMPERATURE_STUCK = 1 << 13
+    RATE_IMPLAUSIBLE = 1 << 14
+    RATE_STUCK = 1 << 15
 
 
 def schema() -> dict[str, Any]:

@@ -58,6 +58,12 @@ CHANNEL = np.dtype(
         ("gap_ns", "<i8"),  # 0: no expectation
         ("max_age_ns", "<i8"),
         ("coil_max_age_ns", "<i8"),
+        ("temp_slope", "<f8"),  # °C/s, °/s²: what is quicker is implausible (inf: nothing is)
+        ("coil_slope", "<f8"),
+        ("rate_slope", "<f8"),
+        ("temp_stuck_ns", "<i8"),  # the same value for longer is stuck (0: never)
+        ("coil_stuck_ns", "<i8"),
+        ("rate_stuck_ns", "<i8"),
     ]
 )
 """Limits of one channel."""
@@ -162,6 +168,12 @@ class _Compiler:
             round((channel.period_s or 0.0) * GAP_PERIODS * 1e9),
             _age_ns(channel.temperature),
             _age_ns(channel.coil_temperature),
+            _slope(channel.temperature),
+            _slope(channel.coil_temperature),
+            channel.max_slope_dps_per_s or np.inf,
+            _stuck_ns(channel.temperature),
+            _stuck_ns(channel.coil_temperature),
+            _stuck_ns(channel),
         )
 
     def _use(self, channel: int, role: int, spec: RateSignal | TemperatureSignal | None, where: str) -> None:
@@ -229,6 +241,14 @@ class _Compiler:
 
 def _age_ns(spec: TemperatureSignal | None) -> int:
     return round(spec.max_age_s * 1e9) if spec else 0
+
+
+def _slope(spec: TemperatureSignal | None) -> float:
+    return (spec.max_rate_degC_per_s if spec else None) or np.inf
+
+
+def _stuck_ns(spec: TemperatureSignal | Channel | None) -> int:
+    return round(((spec.stuck_after_s if spec else None) or 0.0) * 1e9)
 
 
 def _match(message: Any, rules: MessageRules) -> tuple[int, int]:

@@ -36,6 +36,12 @@ class TemperatureSignal(Struct, frozen=True, forbid_unknown_fields=True):
     unit: str | None = None  # overrides the DBC's
     max_age_s: Positive = 2.0
     not_available: Literal["j1939"] | list[int] = []
+    max_rate_degC_per_s: Positive | None = (
+        None  # a quicker change is not believed, and flagged while it lasts
+    )
+    stuck_after_s: Positive | None = (
+        None  # the same raw value for longer is flagged; None: it may stand still
+    )
 
 
 class ValidSignal(Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,6 +63,8 @@ class Channel(Struct, frozen=True, forbid_unknown_fields=True):
     valid: ValidSignal | None = None
     range_dps: Positive | None = None  # |rate| at or beyond it is flagged as saturated
     period_s: Positive | None = None  # expected between rate frames; None: no gap is ever reported
+    max_slope_dps_per_s: Positive | None = None  # a quicker change of the rate is flagged
+    stuck_after_s: Positive | None = None  # the very same rate for longer is flagged
     drift_dph: Positive = DEFAULT_DRIFT_DPH  # drift worth correcting; a coarser quantum is warned of
 
     def __post_init__(self) -> None:

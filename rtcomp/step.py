@@ -106,6 +106,8 @@ def thermal_update(c, s, ch, t_ns, temp, coil):
     """Take in a temperature [°C] (and the coil's, NaN when there is none) received at t_ns."""
     first = s.times[ch, T_THERMAL] == NEVER
     dt = 0.0 if first else (t_ns - s.times[ch, T_THERMAL]) * 1e-9
+    if dt < -GAP_S:  # the frames' clock was set back: nothing from before can be placed in time
+        first, dt = True, 0.0
     if first or dt > GAP_S:
         s.times[ch, SETTLED_AT] = t_ns + np.int64(c.settle_s[ch] * 1e9)
     if first:
@@ -181,7 +183,7 @@ def predict_error(c, s, ch, t_ns, rate):
     ):
         return 0.0, MISSING
     flags = 0
-    timed = s.times[ch, T_POWER_ON] != NEVER
+    timed = s.times[ch, T_POWER_ON] != NEVER and t_ns >= s.times[ch, T_POWER_ON]
     t = (t_ns - s.times[ch, T_POWER_ON]) * 1e-9 if timed else 0.0
     if t_ns < s.times[ch, SETTLED_AT] or (c.needs[ch, 2] and not timed):
         flags |= UNSETTLED
