@@ -24,7 +24,7 @@ from rtcomp.view.surface import (
     valid_range,
 )
 
-TRAIL_POINTS, TRAIL_STEP_NS = 120, 250_000_000  # half a minute
+TRAIL_POINTS, TRAIL_STEP_NS = 120, 200_000_000  # 24 s
 """How much of its way the operating point drags along."""
 FIRST_LOOK_S, SLOWER = 1.0, 1.3  # measured surfaces are logged after 1 s, and then less and less often …
 SLOWEST_S = 30.0  # … but never less often than this
@@ -118,11 +118,12 @@ class ChannelScene:
             left if np.isfinite(left) else 0.0,
         )
         step = here.t_ns - self._trail[-1].t_ns if self._trail else TRAIL_STEP_NS
+        if 0 <= step < TRAIL_STEP_NS:
+            return
         if step < 0:
             self._trail.clear()  # a replay began anew
-        if step < 0 or step >= TRAIL_STEP_NS:
-            self._trail.append(here)
-        log_operating_point(self.stream, self.root, box, [*self._trail, here])
+        self._trail.append(here)
+        log_operating_point(self.stream, self.root, box, list(self._trail))
 
     def _show_measured(self, cells: Cells, t_ns: int) -> None:
         if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(cells):

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from rtcomp.compensator import predict
 from rtcomp.errors import WorkError
 from rtcomp.frames import CORRECTED, Flag
-from rtcomp.model import Model, parse_model
+from rtcomp.model import Model, new_model, parse_model
 from rtcomp.view.channel_scene import ChannelScene, style_operating_point
 from rtcomp.view.layout import live_blueprint
 from rtcomp.view.report import about_models
@@ -28,6 +29,7 @@ RING = 1 << 16  # samples that may wait; older ones give way, and are counted by
 PAUSE_S = 2.0
 HISTORY_EVERY_S = 60.0
 ANSWER_S = 1.0
+NOTHING = np.zeros(0)
 
 
 class Channel:
@@ -39,6 +41,7 @@ class Channel:
         self.scene = ChannelScene(sink.stream, name, ())
         self.past = History(4)
         self.logged = self.missed = self.thinned = 0
+        self.log_s = 0.0  # processor time spent in logging the streams' values
         self.dtype: np.dtype[Any] = CORRECTED
         self.heard = time.monotonic()
         self.running = False
@@ -53,7 +56,9 @@ class Channel:
         rows = samples
         if self.sink.rows_per_batch is not None and len(samples) > self.sink.rows_per_batch:
             rows = samples[thin(samples["rate_raw_dps"], self.sink.rows_per_batch)]
+        started = time.thread_time()
         self.streams.add(rows)
+        self.log_s += time.thread_time() - started
         self.scene.add(samples)
         if not self.running:
             self.streams.mark(int(samples["t_ns"][0]), "running")
@@ -99,8 +104,6 @@ class Viewer:
         """`window_s` is how much of the past the plots show, None the whole."""
         self.session, self.prefix, self.sink = session, prefix.strip("/"), sink
         self.channels: dict[str, Channel] = {}
-        self.log_s = 0.0  # time spent in logging samples
-        self.values = 0  # numbers logged of samples
         self.error: Exception | None = None
         self._window_s = window_s
         self._stopped = threading.Event()
@@ -112,6 +115,9 @@ class Viewer:
         """Subscribe and begin to log."""
         import zenoh
 
+        predict(
+            new_model(), NOTHING, NOTHING
+        )  # compiles, or loads what was compiled, before samples wait for it
         ring = zenoh.handlers.RingChannel
         self._rates = self.session.declare_subscriber(f"{self.prefix}/*/rate", ring(RING))
         self._healths = self.session.declare_subscriber(f"{self.prefix}/*/health", ring(256))
@@ -146,8 +152,9 @@ class Viewer:
             n: {"logged": c.logged, "missed": c.missed, "thinned": c.thinned}
             for n, c in self.channels.items()
         }
-        us = self.log_s / self.values * 1e6 if self.values else None
-        return {"channels": rows, "values": self.values, "us_per_value": us}
+        values = sum(channel.streams.values for channel in self.channels.values())
+        spent = sum(channel.log_s for channel in self.channels.values())
+        return {"channels": rows, "values": values, "us_per_value": spent / values * 1e6 if values else None}
 
     def _run(self) -> None:
         try:
@@ -230,11 +237,8 @@ class Viewer:
                 f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes"
             )
         samples = np.frombuffer(b"".join(payloads), channel.dtype)
-        started, values = time.thread_time(), channel.streams.values
         if channel.add(samples):
             self._unsure.add(channel.name)
-        self.log_s += time.thread_time() - started
-        self.values += channel.streams.values - values
 
     def _watch(self) -> None:
         now = time.monotonic()

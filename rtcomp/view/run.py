@@ -1,6 +1,7 @@
 """`rtcomp view` without its command line: what is asked for, the waiting for a stream, the files."""
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -26,6 +27,7 @@ from rtcomp.zenoh_session import LOCAL, open_session
 
 Say = Callable[[str], None]
 RETRY_S = 0.5
+NICE = 10  # whoever watches gives way to whoever corrects; what we start inherits it
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ def _sink(config: ViewConfig, window: bool, name: str, say: Say) -> Iterator[Sin
 
 def _show_live(config: ViewConfig, window: bool, stopped: threading.Event, say: Say) -> dict[str, Any]:
     deadline = time.monotonic() + config.wait_s
+    with contextlib.suppress(AttributeError, OSError):
+        os.nice(NICE)
     with contextlib.ExitStack() as stack:
         session = _wait_for_session(config, deadline, stopped, say)
         stack.callback(session.close)

@@ -59,6 +59,7 @@ class ChannelStreams:
         self._styled: set[str] = set()
         self._flags = 0
         self._seen_flags = 0
+        self._slot = -1  # half second in which a temperature was logged last
         self._slow: tuple[int, float] | None = None  # time [ns] and low pass [°C] of the temperature
 
     def add(self, samples: np.ndarray) -> None:
@@ -82,12 +83,15 @@ class ChannelStreams:
         self.values += values.size
 
     def _temperature(self, samples: np.ndarray) -> None:
-        """Ten rows a second are enough for temperature."""
+        """Two rows a second are enough for temperature."""
         known = np.flatnonzero(np.isfinite(samples["temp_degC"]))
         if not len(known):
             return
-        tenths = samples["t_ns"][known] // 100_000_000
-        rows = samples[known[np.flatnonzero(np.diff(tenths, prepend=tenths[:1] - 1))]]
+        slots = samples["t_ns"][known] // 500_000_000
+        rows = samples[known[np.flatnonzero(np.diff(slots, prepend=self._slot))]]
+        self._slot = int(slots[-1])
+        if not len(rows):
+            return
         slopes = [self._slope(int(row["t_ns"]), float(row["temp_degC"])) for row in rows]
         self._scalars("temperature", rows["t_ns"], rows["temp_degC"][:, None])
         self._scalars("temperature_rate", rows["t_ns"], np.array(slopes)[:, None] * 60.0)
