@@ -60,7 +60,7 @@ class ChannelStreams:
         self._flags = 0
         self._seen_flags = 0
         self._slot = -1  # half second in which a temperature was logged last
-        self._slow: tuple[int, float] | None = None  # time [ns] and low pass [°C] of the temperature
+        self._slow: tuple[int, float, float] | None = None  # time [ns], T [°C], T − LP(T) [°C]
 
     def add(self, samples: np.ndarray) -> None:
         """Log a batch, shape `(n,)`, n > 0."""
@@ -97,12 +97,16 @@ class ChannelStreams:
         self._scalars("temperature_rate", rows["t_ns"], np.array(slopes)[:, None] * 60.0)
 
     def _slope(self, t_ns: int, temp: float) -> float:
-        """dT/dt [°C/s] = (T − LP(T))/τ."""
-        last_ns, low = self._slow or (t_ns, temp)
+        """dT/dt [°C/s] = (T − LP(T))/τ; exact for piecewise linear T."""
+        last_ns, last, lag = self._slow or (t_ns, temp, 0.0)
         elapsed = (t_ns - last_ns) / 1e9
-        low = temp if not 0.0 <= elapsed < 60.0 else low + (temp - low) * -np.expm1(-elapsed / SLOPE_TAU_S)
-        self._slow = (t_ns, low)
-        return (temp - low) / SLOPE_TAU_S
+        if 0.0 < elapsed < 60.0:
+            kept = np.exp(-elapsed / SLOPE_TAU_S)
+            lag = lag * kept + (temp - last) / elapsed * SLOPE_TAU_S * (1.0 - kept)
+        elif elapsed:
+            lag = 0.0
+        self._slow = (t_ns, temp, lag)
+        return lag / SLOPE_TAU_S
 
     def _log_flags(self, t_ns: np.ndarray, flags: np.ndarray) -> None:
         before = np.concatenate([[self._flags], flags[:-1]]).astype(np.uint32)
