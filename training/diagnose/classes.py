@@ -8,6 +8,7 @@ from training.diagnose.library import Group
 from training.diagnose.naming import (
     CLASS_COST,
     CLASS_SHARE,
+    MOST_SHARE,
     OTHER_FAMILY_SHARE,
     SHAPE_ALPHA,
     SHARED_FAMILY_SHARE,
@@ -26,13 +27,13 @@ PREFER = 2.0
 SWAPS = 3
 TABLE = "compensation_table"
 PHASES = 12
-BIAS, SCALE, HEADING = "bias", "scale", "heading"
+BIAS, SCALE, SHAPE, HEADING = "bias", "scale", "shape", "heading"
 FAMILY = {
     **dict.fromkeys(("bias_temperature", "shupe", "bias_hysteresis", "polarization_ripple", "compensation_table",
                      "bias_drift", "bias_warmup", "bias_step", "auto_zero"), BIAS),
     **dict.fromkeys(("scale_temperature", "thermal_lag", "scale_hysteresis", "scale_temperature_rate", "source_ageing",
-                     "scale_warmup", "scale_step", "scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
-                    SCALE),
+                     "scale_warmup", "scale_step"), SCALE),
+    **dict.fromkeys(("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"), SHAPE),
     **dict.fromkeys(("magnetic", "table_eccentricity"), HEADING),
 }
 
@@ -80,7 +81,7 @@ def with_classes(
     for i, part in enumerate(model.parts):
         rest = [p for j, p in enumerate(model.parts) if j != i]
         without = build(rest, domains, model.fit.weights)
-        allowed = CLASS_COST + CLASS_SHARE * strengths[i]
+        allowed = CLASS_COST + min(CLASS_SHARE * strengths[i], MOST_SHARE)
         found = residual_scan(library, without, null)
         if part.effect == TABLE:
             found = {e: c for e, c in found.items() if e == "polarization_ripple"}

@@ -12,13 +12,14 @@ import numpy as np
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
-from training.diagnose.generic import VALUES, knots_of
+from training.diagnose.generic import HATS, VALUES, basis_of, knots_of
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
 
 RATE_TAU_S = 40.0
+SIGMOID_KNOTS = 65
 UNKNOWN_DRIVERS = {
     "temperature": ("temperature", False), "rate_times_temperature": ("temperature", True),
     "temperature_rate": ("temperature_rate", False), "rate_times_temperature_rate": ("temperature_rate", True),
@@ -67,11 +68,13 @@ def _unknown_term(analysis: Analysis) -> Term | None:
         return None
     driver, times_rate = UNKNOWN_DRIVERS[unknown.driver]
     joint = empirical(unknown, analysis.domains, model)
-    values = np.concatenate([[0.0], joint.fit.beta[joint.slices()[-1]]])
+    beta = joint.fit.beta[joint.slices()[-1]]
     works: list[Work] = [d.work for d in analysis.domains]
-    knots = knots_of(
-        np.concatenate([VALUES[unknown.driver][0](w) for w in works]), int(unknown.part.points[0]["hats"])
-    )
+    pooled = np.concatenate([VALUES[unknown.driver][0](w) for w in works])
+    point = unknown.part.points[0]
+    sets = {float(n): knots_of(pooled, n) for n in HATS}
+    knots = np.linspace(pooled.min(), pooled.max(), SIGMOID_KNOTS) if "centre" in point else sets[point["hats"]]
+    values = np.stack(basis_of(knots, sets, point), axis=1) @ beta
     if unknown.driver == "time_since_power_on":
         knots = np.exp(knots) - 60.0
     parameters: dict[str, Any] = {"driver": driver, "times_rate": times_rate, "knots": knots.tolist(), "values_dps": values.tolist()}

@@ -45,6 +45,7 @@ VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
     "vibration": (lambda k: k.extra["vib2"], False, frozenset({"vibration"})),
 }
 BENDING = frozenset({"temperature", "rate", "rate_times_temperature"})
+TRANSITIONS = frozenset({"temperature", "rate_times_temperature"})
 CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
     "heading": ("", frozenset({"heading"})),
     "rate_times_heading": ("w", frozenset({"heading", "rate"})),
@@ -88,13 +89,31 @@ def _hat_group(
     unit = "ppm" if times_rate else "dps"
 
     def columns(work: Work, parameters: Parameters) -> list[FloatArray]:
-        basis = hats(value(work), sets[parameters["hats"]])
+        basis = basis_of(value(work), sets, parameters)
         return [PPM * work.w * column for column in basis] if times_rate else basis
 
     def names(parameters: Parameters) -> list[tuple[str, str]]:
-        return [(f"value_{i}", unit) for i in range(1, len(sets[parameters["hats"]]))]
+        count = 1 if "centre" in parameters else len(sets[parameters["hats"]]) - 1
+        return [(f"value_{i}", unit) for i in range(1, count + 1)]
 
-    return Group(driver, lambda survey: [{"hats": n} for n in sets], columns, names, needs)
+    return Group(driver, lambda survey: [{"hats": n} for n in sets] + _sigmoids(driver, sets), columns, names, needs)
+
+
+def basis_of(values: FloatArray, sets: dict[float, FloatArray], parameters: Parameters) -> list[FloatArray]:
+    """The basis functions of one variant at `values`: hats, or one sigmoid (a transition at a value of the driver)."""
+    if "centre" in parameters:
+        return [0.5 * (1.0 + np.tanh((values - parameters["centre"]) / parameters["width"]))]
+    return hats(values, sets[parameters["hats"]])
+
+
+def _sigmoids(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
+    """Transitions across the driver's range, sharp to soft, for the temperature drivers."""
+    if driver not in TRANSITIONS:
+        return []
+    knots = next(iter(sets.values()))
+    span = float(knots[-1] - knots[0])
+    centres = np.linspace(knots[0] + 0.06 * span, knots[-1] - 0.06 * span, 28)
+    return [{"hats": 0.0, "centre": float(c), "width": float(share * span)} for c in centres for share in (0.012, 0.03, 0.08)]
 
 
 def _cyclic_group(driver: str, prefix: str, needs: frozenset[str]) -> Group:

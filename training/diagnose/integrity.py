@@ -21,6 +21,7 @@ GAINS = {
 GAIN_TOLERANCE = 0.03
 PAUSE_S = 5.0
 MIN_ROWS = 40
+USABLE = 0.3
 LONG_RUN = 1e-9
 RARE = 0.02  # repeats rarer than this are not the codes' coarseness
 
@@ -57,6 +58,9 @@ def check(columns: dict[str, FloatArray], static: bool) -> Checked:
     if len(result.valid) < (8 if "t_s" not in columns else MIN_ROWS):
         result.unusable = f"only {len(result.valid)} rows: too few to tell physics from noise; record at least minutes"
         return result
+    if result.valid.mean() < USABLE:
+        result.unusable = f"only {100 * result.valid.mean():.0f} % of the samples have values; record again"
+        return result
     if "t_s" in columns:
         _clock(result)
     if result.unusable is None:
@@ -66,7 +70,7 @@ def check(columns: dict[str, FloatArray], static: bool) -> Checked:
         if "t_s" in columns:
             _frozen(result)
             _gaps(result)
-    if result.unusable is None and result.valid.mean() < 0.3:
+    if result.unusable is None and result.valid.mean() < USABLE:
         result.unusable = f"only {100 * result.valid.mean():.0f} % of the samples are usable; record again"
     return result
 

@@ -88,7 +88,7 @@ def _h(work: Work) -> FloatArray:
 
 def _taus(low: float, high: float, count: int) -> Callable[[Survey], list[Parameters]]:
     def grid(survey: Survey) -> list[Parameters]:
-        top = min(high, survey.duration_s / 3.0)
+        top = min(high, survey.duration_s / 4.0)  # longer lags are copies of the temperature itself
         bottom = max(low, 3.0 * survey.step_s)
         return [{"tau_s": float(tau)} for tau in np.geomspace(low, high, count) if bottom <= tau <= top]
 
@@ -115,7 +115,7 @@ def _shupe(work: Work, p: Parameters) -> list[FloatArray]:
 
 
 def _shupe_grid(survey: Survey) -> list[Parameters]:
-    taus = _taus(10.0, 1200.0, 12)(survey)
+    taus = _taus(10.0, 500.0, 11)(survey)
     return [{**tau, "order": order} for order in (1.0, 2.0) for tau in taus]
 
 
@@ -133,7 +133,7 @@ def _thermal_lag(work: Work, p: Parameters) -> list[FloatArray]:
 
 
 def _lag_grid(survey: Survey) -> list[Parameters]:
-    return [{**tau, "with_bias": b} for b in (0.0, 1.0) for tau in _taus(50.0, 1500.0, 12)(survey)]
+    return [{**tau, "with_bias": b} for b in (0.0, 1.0) for tau in _taus(50.0, 900.0, 11)(survey)]
 
 
 def _plays(survey: Survey) -> list[Parameters]:
@@ -301,7 +301,7 @@ GROUPS: tuple[Group, ...] = (
         BOTH | TIME, ("play_K",),
     ),
     Group(
-        "scale_temperature_rate", lambda s: [{"tau_s": tau} for tau in (10.0, 20.0, 40.0)], _scale_rate,
+        "scale_temperature_rate", lambda s: [{"tau_s": tau} for tau in (5.0, 20.0, 40.0)], _scale_rate,
         _names(("c_ppm_s_per_K", "ppm s/K")), BOTH | TIME, ("tau_s",),
     ),
     Group("scale_nonlinearity", _nonlinearity_grid, _nonlinearity, _nonlinearity_names, RATE),

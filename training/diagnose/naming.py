@@ -16,12 +16,15 @@ SHAPE_ALPHA = 1e-2
 MAX_EFFECTS = 4
 MAX_SHAPES = 2
 CLASS_COST = 10.0
-CLASS_SHARE = 0.012
+CLASS_SHARE = 0.012  # a group's shape is that much unlike the true one, so a rival may cost that share more
+MOST_SHARE = 40.0
 SHARED_FAMILY_SHARE = 0.05
-OTHER_FAMILY_SHARE = 0.004
+OTHER_FAMILY_SHARE = 0.001
 STRONGER = 10.0
 ONE_SHAPE = frozenset({"dead_band"})
 BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
+LONGER = 1.35
+STRICTER = {"bias_drift": 1e-6, "bias_step": 1e-5, "bias_warmup": 1e-4}  # a random walk or telegraph noise draws these by itself
 ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 
@@ -116,7 +119,7 @@ def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: Fl
     reach = 0.25 if {"lock_dps", "limit_dps"} & set(names) else 0.7
 
     def cost(x: FloatArray) -> float:
-        if np.max(np.abs(x)) > reach or point(x).get("limit_dps", 0.0) > 1.02 * max(start.get("limit_dps", 0.0), 0.0):
+        if np.max(np.abs(x)) > reach or point(x).get("tau_s", 0.0) > LONGER * start.get("tau_s", 0.0) or point(x).get("limit_dps", 0.0) > 1.02 * max(start.get("limit_dps", 0.0), 0.0):
             return 1e12
         extra = [d.work.transform(np.stack(part.group.columns(d.work, point(x)), axis=1)) for d in domains]
         return -frame.fit(frame.grams(extra=extra), weights, rounds=3, inner=6).loglik
@@ -146,13 +149,11 @@ def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candida
     room = {p.effect: len(p.points) <= (0 if p.effect in ONE_SHAPE else MAX_SHAPES) for p in parts}
     points = {p.effect: p.points for p in parts}
     shapes = [c for e, c in found.items() if room.get(e, False) and _differs(c.variant.parameters, points[e])]
-    fresh = [c for e, c in found.items() if e not in room] if len(parts) < MAX_EFFECTS else []
+    fresh = [c for e, c in found.items() if e not in room and null.p_value(c.excess) <= STRICTER.get(e, ALPHA)] if len(parts) < MAX_EFFECTS else []
     shape = max(shapes, key=lambda c: c.excess, default=None)
     new = max(fresh, key=lambda c: c.excess, default=None)
     if shape is not None and (null.p_value(shape.excess) > SHAPE_ALPHA):
         shape = None
-    if new is not None and null.p_value(new.excess) > ALPHA:
-        new = None
     if shape is not None and new is not None:
         return new if new.excess > STRONGER + 1.5 * shape.excess else shape
     return new or shape
@@ -214,7 +215,9 @@ def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Mode
             break
         rest = [p for j, p in enumerate(model.parts) if j != i]
         without = build(rest, domains, model.fit.weights)
-        if 2.0 * (model.fit.loglik - without.fit.loglik) - null.mean[model.parts[i].effect] < null.excess_at(ALPHA):
+        if 2.0 * (model.fit.loglik - without.fit.loglik) - null.mean[model.parts[i].effect] < null.excess_at(
+            STRICTER.get(model.parts[i].effect, ALPHA)
+        ):
             model = without
             continue
         rival = best_rival(library, domains, null, without, barred | {p.effect for p in model.parts})

@@ -9,7 +9,7 @@ from training.diagnose.work import FloatArray, Work, block_average, smooth
 MAX_BLOCKS = 40_000
 MIN_STEP_S = 0.05
 GRAVITY = 9.80665
-STANDARD_SMOOTHING_S = 8.0
+SMOOTHING_S = ((0.03, 8.0), (0.2, 25.0), (np.inf, 40.0))  # (grain [K] below which, width [s])
 
 
 def prepare(
@@ -59,7 +59,16 @@ def _temperature(temp: FloatArray | None, t: FloatArray, average, step: float) -
     index = np.arange(len(mean))
     good = np.isfinite(mean)
     mean = np.interp(index, index[good], mean[good])
-    return smooth(mean, step, STANDARD_SMOOTHING_S)
+    return smooth(mean, step, _smoothing_s(temp))
+
+
+def _smoothing_s(temp: FloatArray) -> float:
+    """Width of the temperature's smoothing [s]: its codes' steps and noise must not drown its slope."""
+    good = temp[np.isfinite(temp)]
+    changes = np.abs(np.diff(good))
+    lsb = float(np.min(changes[changes > 0.0], initial=np.inf)) if changes.size else 0.0
+    grain = max(lsb if np.isfinite(lsb) else 0.0, 2.0 * float(np.median(changes)) if changes.size else 0.0)
+    return next((width for limit, width in SMOOTHING_S if grain < limit), SMOOTHING_S[-1][1])
 
 
 def _points(name: str, columns: dict[str, FloatArray], y: FloatArray, w: FloatArray, valid: NDArray[np.bool_]) -> Work:
