@@ -7,8 +7,7 @@ from rtcomp.view.rerun_sdk import TIMELINE, load_rerun
 from rtcomp.view.streams import SERIES
 
 BACKGROUND = (22, 25, 32, 255)
-EYE = (1.75, -2.15, 1.3)  # for views wider than high; narrow ones are seen from further away
-FURTHER = {2: 1.55, 3: 2.2}
+EYE = (1.75, -2.15, 1.3)
 
 
 def live_blueprint(names: Sequence[str], window_s: float | None = 30.0) -> Any:
@@ -22,18 +21,14 @@ def live_blueprint(names: Sequence[str], window_s: float | None = 30.0) -> Any:
 def surfaces_blueprint(names: Sequence[str], titles: Sequence[str] = ("before", "after")) -> Any:
     """The blueprint for surfaces without streams: a model, a paper run."""
     rrb = _blueprint_module()
-    away = FURTHER.get(len(titles), 1.0)
-    rows = [
-        rrb.Horizontal(
-            *[_scene_view(f"{n}/surface/{side}", _title(n, side), away) for side in titles], name=n
-        )
-        for n in names
-    ]
-    texts = [rrb.TextDocumentView(origin=f"{name}/about", name=f"{name}: about") for name in names]
-    pages = [
-        rrb.Horizontal(row, text, column_shares=[4, 1], name=row.name)
-        for row, text in zip(rows, texts, strict=True)
-    ]
+    pages = []
+    for name in names:
+        scenes = [_scene_view(f"{name}/surface/{side}", _title(name, side)) for side in titles]
+        about = rrb.TextDocumentView(origin=f"{name}/about", name="about")
+        if len(scenes) == 2:
+            pages.append(rrb.Horizontal(rrb.Vertical(*scenes), about, column_shares=[3, 1], name=name))
+        else:
+            pages.append(rrb.Grid(*scenes, about, grid_columns=2, name=name))
     root = pages[0] if len(pages) == 1 else rrb.Tabs(*pages)
     return rrb.Blueprint(root, rrb.TimePanel(state="hidden"), *_closed())
 
@@ -111,11 +106,11 @@ def _title(name: str, side: str) -> str:
     return f"{name}: {told.get(side, side)}"
 
 
-def _scene_view(origin: str, title: str, away: float = 1.0) -> Any:
+def _scene_view(origin: str, title: str) -> Any:
     rrb = _blueprint_module()
     eye = rrb.EyeControls3D(
         kind="Orbital",
-        position=[away * place for place in EYE],
+        position=EYE,
         look_target=(0.06, -0.02, -0.1),
         eye_up=(0.0, 0.0, 1.0),
     )

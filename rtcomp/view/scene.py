@@ -85,7 +85,7 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
         box.place(temp, w0, -e) + np.array([0.0, -inset, 0.0], np.float32),
         box.place(t1, rate, -e) + np.array([inset, 0.0, 0.0], np.float32),
         box.place(t0, w0, error) + np.array([-inset, -inset, 0.0], np.float32),
-        np.array([[0.0, -SIDE / 2 - 0.34, -HEIGHT / 2], [SIDE / 2 + 0.38, 0.0, -HEIGHT / 2]], np.float32),
+        np.array([[0.0, -SIDE / 2 - 0.45, -HEIGHT / 2], [SIDE / 2 + 0.5, 0.0, -HEIGHT / 2]], np.float32),
         np.array([[-SIDE / 2 - inset, -SIDE / 2 - inset, HEIGHT / 2 + 0.16]], np.float32),
     ]
     texts = [f"{v:g}" for axis in (temp, rate, error) for v in axis]
@@ -99,11 +99,16 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
     _log_legend(stream, f"{path}/legend", box)
 
 
+def _raised(level: Any) -> Any:
+    """Heights of −1 … 1 on the legend, which stands clear of the rate axis's labels."""
+    return (0.8 * level + 0.2) * HEIGHT / 2
+
+
 def _log_legend(stream: Any, path: str, box: Box, steps: int = 33) -> None:
     """A bar of colours beside the box, from −limit to limit."""
     rr = load_rerun()
     levels = np.linspace(-1.0, 1.0, steps)
-    left = np.stack([np.full(steps, SIDE / 2), np.full(steps, SIDE / 2 + 0.12), levels * HEIGHT / 2], axis=-1)
+    left = np.stack([np.full(steps, SIDE / 2), np.full(steps, SIDE / 2 + 0.12), _raised(levels)], axis=-1)
     right = left + np.array([0.12, 0.0, 0.0])
     k = np.arange(steps - 1)
     faces = np.concatenate(
@@ -115,7 +120,7 @@ def _log_legend(stream: Any, path: str, box: Box, steps: int = 33) -> None:
     )
     stream.log(f"{path}/bar", mesh, static=True)
     texts = [f"{v * box.limit_dps:+.3g} °/s" if v else "0" for v in (-1.0, 0.0, 1.0)]
-    ends = np.array([[SIDE / 2 + 0.3, SIDE / 2 + 0.12, v * HEIGHT / 2] for v in (-1, 0, 1)])
+    ends = np.array([[SIDE / 2 + 0.3, SIDE / 2 + 0.12, _raised(v)] for v in (-1, 0, 1)])
     stream.log(
         f"{path}/scale",
         rr.Points3D(ends, labels=texts, show_labels=True, radii=[-0.1], colors=[colours.TEXT]),
