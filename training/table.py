@@ -73,7 +73,9 @@ def parse_columns(text: str | None) -> dict[str, str]:
     for item in filter(None, (text or "").split(",")):
         ours, equals, theirs = (part.strip() for part in item.partition("="))
         if not equals or ours not in COLUMNS or not theirs:
-            raise RequestError(f"--columns: got {item!r}, wanted OURS=THEIRS with OURS one of {', '.join(COLUMNS)}")
+            raise RequestError(
+                f"--columns: got {item!r}, wanted OURS=THEIRS with OURS one of {', '.join(COLUMNS)}"
+            )
         pairs[ours] = theirs
     return pairs
 
@@ -105,14 +107,18 @@ def read_recording(
     if path.name.lower().endswith(TABLES):
         found = _read_table(path, dict(columns or {}))
     elif signal_map is None:
-        raise RequestError(f"{path}: taken for a CAN log by its name; give --map (and --dbc), or a {TABLES} table")
+        raise RequestError(
+            f"{path}: taken for a CAN log by its name; give --map (and --dbc), or a {TABLES} table"
+        )
     else:
         from training.can_log import read_can_log
 
         found = read_can_log(path, signal_map, dbc, channel)
     missing = [name for name in require if name not in found]
     if missing:
-        raise RequestError(f"{path}: no column {', '.join(missing)}; rename with --columns {missing[0]}=NAME_IN_FILE")
+        raise RequestError(
+            f"{path}: no column {', '.join(missing)}; rename with --columns {missing[0]}=NAME_IN_FILE"
+        )
     known = {name: found[name] for name in COLUMNS if name in found}
     ignored = tuple(name for name in found if name not in COLUMNS)
     if not known or not len(next(iter(known.values()))):
@@ -131,7 +137,9 @@ def _read_table(path: Path, columns: dict[str, str]) -> dict[str, np.ndarray]:
         if path.suffix == ".parquet":
             table = pyarrow.parquet.read_table(path)
         else:
-            options = pyarrow.csv.ConvertOptions(strings_can_be_null=True, null_values=["", "nan", "NaN", "NA", "null"])
+            options = pyarrow.csv.ConvertOptions(
+                strings_can_be_null=True, null_values=["", "nan", "NaN", "NA", "null"]
+            )
             table = pyarrow.csv.read_csv(path, convert_options=options)
     except (pa.ArrowInvalid, OSError, EOFError, gzip.BadGzipFile) as error:
         raise RequestError(f"{path}: not a readable table: {str(error).splitlines()[0]}") from error
@@ -182,7 +190,9 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise RequestError(f"cannot write {path}: {error.strerror}; give a file in a folder that exists") from error
+        raise RequestError(
+            f"cannot write {path}: {error.strerror}; give a file in a folder that exists"
+        ) from error
     try:
         with os.fdopen(handle, "wb") as file:
             if path.suffix == ".parquet":

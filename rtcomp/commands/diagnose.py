@@ -8,7 +8,26 @@ import click
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-@click.command("diagnose")
+class _Command(click.Command):
+    """Lets `--heldout` take several files at once, up to the next option, as `--heldout A B`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Write `--heldout A B` as `--heldout A --heldout B`, unless that would leave no recording to learn from."""
+        spread: list[str] = []
+        taking = False
+        for word in list(args):
+            if word.startswith("-"):
+                taking = word == "--heldout"
+            elif taking and spread[-1] != "--heldout":
+                spread.append("--heldout")
+            spread.append(word)
+        try:
+            return super().parse_args(ctx, spread)
+        except click.MissingParameter:
+            return super().parse_args(ctx, list(args))
+
+
+@click.command("diagnose", cls=_Command)
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
 @click.option("--heldout", multiple=True, type=FILE, help="Recording kept for the proof; may be given several times.")
 @click.option("--simulation", type=FILE, help="Scenario TOML of the simulator, or a model file; else the column sim_rate_dps, else an ideal gyro.")
