@@ -10,6 +10,7 @@ that they carry is mostly forgotten, and what they would add is mostly the guess
 constants are long, for the sensor may have been switched off and on meanwhile.
 """
 
+import glob
 import hashlib
 import logging
 import threading
@@ -198,6 +199,8 @@ class Checkpointer:
         if not self.path.absolute().parent.is_dir():
             raise RequestError(f"cannot write {path}: no such folder; give a file in a folder that exists")
         self.counts = {"restored": 0, "refused": 0, "written": 0, "failed": 0}
+        for left in self.path.parent.glob(f".{glob.escape(self.path.name)}.????????"):
+            left.unlink(missing_ok=True)  # half written by one that was killed
         self._due = time.monotonic() + PERIOD_S
         self._last: tuple[int, int | None] | None = None
         self._pending: Snapshot | None = None
