@@ -35,16 +35,23 @@ def new_key(path: str | Path) -> tuple[Path, Path]:
     secret = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    _write_new(private, secret, 0o600)
+    write_new(private, secret, 0o600)
     shown = key.public_key().public_bytes(
         serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
     )
-    _write_new(public, shown, 0o644)
+    write_new(public, shown, 0o644)
     return private, public
 
 
-def _write_new(path: Path, content: bytes, mode: int) -> None:
-    """Never through a link that somebody put there, and never readable by others for a moment."""
+def write_new(path: Path, content: bytes, mode: int) -> None:
+    """Write a file that is not there yet: never through a link, never readable by others for a moment.
+
+    Raises RequestError when it is there already or cannot be written.
+    """
+    if path.exists():
+        raise RequestError(
+            f"{path} is there already and a key is never overwritten; give another name or move it away"
+        )
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         with os.fdopen(handle, "wb") as file:
