@@ -9,6 +9,7 @@ of with and without alternates from pair to pair.
 """
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -172,10 +173,11 @@ def main(
     if alone is not None:
         click.echo(json.dumps(compensate(alone)))
         return
-    told: dict[str, Any] = {}
+    told: dict[str, Any] = {"load_average_before": os.getloadavg()[0]}
     if minutes:
         told["long"] = leg(60.0 * minutes, True, memory_limit)
         told["long"]["memory"] = told["long"]["memory"][:: max(len(told["long"]["memory"]) // 20, 1)]
+        click.echo(f"long: {json.dumps(told['long'])}", err=True)
     if pairs:
         told["latency"] = compare(pairs, seconds)
     click.echo(json.dumps(told, indent=None if as_json else 1))

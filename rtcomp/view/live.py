@@ -25,7 +25,7 @@ from rtcomp.view.thinning import History, thin
 log = logging.getLogger(__name__)
 
 BATCH_S = 0.1
-RING = 1 << 16  # samples that may wait; older ones give way, and are counted by their sequence numbers
+RING = 1 << 15  # samples that may wait; older ones give way, and are counted by their sequence numbers
 PAUSE_S = 2.0
 HISTORY_EVERY_S = 60.0
 ANSWER_S = 1.0
