@@ -16,6 +16,7 @@ from rtcomp.model import load_model
 from rtcomp.view.live import Viewer
 from rtcomp.view.rerun_sdk import load_rerun
 from rtcomp.view.sinks import (
+    NothingShownError,
     Sink,
     check_display,
     free_port,
@@ -130,7 +131,7 @@ def _wait_for_session(config: ViewConfig, deadline: float, stopped: threading.Ev
             return open_session(config.zenoh or LOCAL, listen=False)
         except WorkError as error:
             if time.monotonic() >= deadline or stopped.is_set():
-                raise WorkError(_no_stream(config)) from error
+                raise NothingShownError(_no_stream(config)) from error
         if not told:
             say(
                 f"no stream yet, waiting {config.wait_s:g} s for one; start it with `rtcomp run … --zenoh local`"
@@ -142,7 +143,7 @@ def _wait_for_session(config: ViewConfig, deadline: float, stopped: threading.Ev
 def _wait_for_samples(viewer: Viewer, config: ViewConfig, deadline: float, stopped: threading.Event) -> None:
     while viewer.running() and not viewer.seen() and not stopped.is_set():
         if time.monotonic() >= deadline:
-            raise WorkError(_no_stream(config))
+            raise NothingShownError(_no_stream(config))
         stopped.wait(0.05)
 
 

@@ -25,6 +25,10 @@ READY_S = 15.0
 LIVE_ROWS = 1000  # rows per channel and batch of 0.1 s that a screen is given at most
 
 
+class NothingShownError(WorkError):
+    """There was nothing to show; a file that was begun is not kept."""
+
+
 @dataclass
 class Sink:
     """An open recording stream. `rows_per_batch` None means that every row is wanted (a file)."""
@@ -113,7 +117,7 @@ def _replacing(path: Path) -> Iterator[Path]:
     part = path.with_name(f".{path.stem}.part.rrd")
     try:
         yield part
-    except RequestError:  # nothing was shown; after any other end what was recorded is kept
+    except (RequestError, NothingShownError):  # after any other end what was recorded is kept
         part.unlink(missing_ok=True)
         raise
     finally:
