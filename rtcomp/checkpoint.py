@@ -108,6 +108,15 @@ def decode(content: bytes) -> Checkpoint:
     return checkpoint
 
 
+def seal(document: dict[str, Any]) -> bytes:
+    """A checkpoint's document (the file's JSON) with the hash of what it holds; RequestError for anything else."""
+    try:
+        checkpoint = msgspec.convert(document, Checkpoint)
+    except msgspec.ValidationError as error:
+        raise RequestError(f"it is corrupt: {error}") from error
+    return msgspec.json.encode(msgspec.structs.replace(checkpoint, sha256=_hash(checkpoint)))
+
+
 def _hash(checkpoint: Checkpoint) -> str:
     return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(checkpoint, sha256=""))).hexdigest()
 

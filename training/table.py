@@ -143,7 +143,10 @@ def _read_table(path: Path, columns: dict[str, str]) -> dict[str, np.ndarray]:
             table = pyarrow.csv.read_csv(path, convert_options=options)
     except (pa.ArrowInvalid, OSError, EOFError, gzip.BadGzipFile) as error:
         raise RequestError(f"{path}: not a readable table: {str(error).splitlines()[0]}") from error
-    names = table.column_names
+    try:
+        names = table.column_names
+    except UnicodeDecodeError as error:
+        raise RequestError(f"{path}: the header is not UTF-8 text: {error.reason}") from error
     if len(set(names)) != len(names):
         raise RequestError(f"{path}: a column name stands twice in the header {names}; make them distinct")
     absent = [theirs for theirs in columns.values() if theirs not in names]

@@ -1,0 +1,247 @@
+"""What untrusted bytes may reach, one function per door: it must do its work or raise RequestError, and nothing else.
+
+Used by the suite (hypothesis) and by `python -m tools.fuzz` (coverage-guided). A door that opens is walked through:
+a model that is accepted must also compile and correct, a map that is accepted must also decode frames.
+"""
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcomp import fog_format
+from rtcomp.errors import RequestError
+from rtcomp.frames import FRAME
+from rtcomp.model import Model, model_document, parse_model
+from rtcomp.pipeline import Pipeline
+from rtcomp.plan import CompiledMap, compile_map
+from rtcomp.signal_map import data_folder, load_map
+from tools.faults.trace import START_NS, is_honest, make_model, make_trace
+
+
+@cache
+def folder() -> Path:
+    """A folder for what can only be read from a file; in memory where there is such a place."""
+    memory = Path("/dev/shm")  # noqa: S108 - a folder of our own is made in it
+    return Path(tempfile.mkdtemp(prefix="rtcomp-fuzz-", dir=memory if memory.is_dir() else None))
+
+
+@cache
+def fog() -> CompiledMap:
+    """The bundled map that most frames are for."""
+    return compile_map(load_map("fog"))
+
+
+@cache
+def few_frames() -> np.ndarray:
+    """Ten temperatures and some rates."""
+    return make_trace().frames()[:110]
+
+
+@contextlib.contextmanager
+def as_file(data: bytes, name: str) -> Iterator[Path]:
+    """The bytes as a file."""
+    path = folder() / name
+    path.write_bytes(data)
+    yield path
+
+
+def correct(
+    models: list[Model], compiled: CompiledMap | None = None, frames: np.ndarray | None = None
+) -> None:
+    """Run frames through; only an overflow of absurd coefficients may make a rate no number."""
+    compiled = compiled or fog()
+    channels = dict.fromkeys(compiled.channel_names, models)
+    pipeline = Pipeline(compiled, channels, START_NS)
+    samples = pipeline.process_all(few_frames() if frames is None else frames)
+    if compiled is fog() and not models and not is_honest(samples.corrected, pipeline.flags):
+        raise AssertionError("a sample does not say what it is")
+
+
+def model(data: bytes) -> None:
+    """A model file's text."""
+    accepted = parse_model(data.decode("utf-8", "replace"), "fuzz")
+    model_document(accepted)
+    correct([accepted])
+
+
+def swap(data: bytes) -> None:
+    """A model put to a run's key."""
+    from rtcomp.swap import Swapper
+
+    taken: dict[str, list[Model]] = {}
+    swapper = Swapper(dict, taken.update, None)
+    swapper.take("yaw", data)
+    if sum(swapper.counts.values()) != 1 or bool(taken) != bool(swapper.counts["accepted"]):
+        raise AssertionError(f"a swap is not counted: {swapper.counts}")
+    pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
+    pipeline.process_all(few_frames())
+    pipeline.swap(taken)
+    pipeline.process_all(few_frames())
+
+
+def frames(data: bytes) -> None:
+    """Anything a bus may carry, 80 bytes a frame."""
+    count = len(data) // FRAME.itemsize
+    array = np.frombuffer(data[: count * FRAME.itemsize], FRAME).copy()
+    array["length"] %= 65
+    correct([], frames=array)
+    correct([make_model()], frames=array)
+
+
+def signal_map(data: bytes) -> None:
+    """A signal map, its DBC found or not."""
+    with as_file(
+        data.replace(b'dbc = "', b'dbc = "' + str(data_folder()).encode() + b"/"), "map.toml"
+    ) as path:
+        correct([], compile_map(load_map(path)))
+
+
+def dbc(data: bytes) -> None:
+    """A DBC file under the bundled map."""
+    with as_file(data, "fuzz.dbc") as path:
+        correct([], compile_map(load_map("fog"), path))
+
+
+def config(data: bytes) -> None:
+    """A run's configuration."""
+    from rtcomp.config import load_config
+
+    with as_file(data, "run.toml") as path:
+        load_config(path)
+
+
+def candump(data: bytes) -> None:
+    """A candump log, packed or not."""
+    from rtcomp.sources.candump import read_candump
+
+    with as_file(data, "fuzz.log") as path:
+        for array in read_candump(path, 4096):
+            if (array["length"] > 64).any():
+                raise AssertionError("a frame longer than any")
+
+
+def asc(data: bytes) -> None:
+    """A log that python-can reads."""
+    from rtcomp.sources.logs import read_log
+
+    with as_file(data, "fuzz.asc") as path:
+        for _ in read_log(path):
+            pass
+
+
+def recording(data: bytes) -> None:
+    """A recorded table."""
+    from training.table import read_recording
+
+    with as_file(data, "fuzz.csv") as path:
+        read_recording(path)
+
+
+def checkpoint(data: bytes) -> None:
+    """A file of thermal states; with its hash mended, so that what is behind it is reached."""
+    from rtcomp.checkpoint import decode, restore, seal
+
+    with contextlib.suppress(ValueError):
+        document = json.loads(data)
+        if isinstance(document, dict):
+            data = seal(document)
+    pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
+    restore(decode(data), pipeline, power_on=True)
+    pipeline.process_all(few_frames())
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    target.__name__: target
+    for target in (model, swap, frames, signal_map, dbc, config, candump, asc, recording, checkpoint)
+}
+
+
+def run(name: str, data: bytes) -> bool:
+    """Whether the door opened; anything but RequestError is a finding and escapes."""
+    try:
+        TARGETS[name](data)
+    except RequestError:
+        return False
+    return True
+
+
+@cache
+def seeds(name: str) -> tuple[bytes, ...]:
+    """Good inputs to start from."""
+    return tuple(_SEEDS[name]())
+
+
+def _models() -> list[bytes]:
+    from rtcomp.demo import MODEL
+    from rtcomp.terms import TERMS
+
+    terms = [
+        {"effect": effect, "parameters": dict.fromkeys(kind.names, 1.5)}
+        for effect, kind in TERMS.items()
+        if effect != "unknown"
+    ]
+    shape = {"driver": "rate", "knots": [0.0, 1.0], "values": [1.0, 2.0], "times_rate": True}
+    full = model_document(make_model()) | {"terms": [*terms, {"effect": "unknown", "parameters": shape}]}
+    del full["sha256"]
+    table = {"temp_degC": [0.0, 20.0, 40.0], "rate_dps": [-9.0, 9.0], "std_dps": [[0.1], [0.2]]}
+    sine = full | {"base": {"kind": "open_loop_sine", "K0_s": 0.5}, "residual_std_dps": table, "terms": []}
+    demo = json.loads(MODEL.read_text())
+    del demo["sha256"]
+    return [json.dumps(document).encode() for document in (full, sine, demo)]
+
+
+def _checkpoints() -> list[bytes]:
+    from rtcomp.checkpoint import encode, take_snapshot
+
+    pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
+    pipeline.process_all(few_frames())
+    return [encode(take_snapshot(pipeline, int(few_frames()["t_ns"][-1]), None))]
+
+
+def _log() -> bytes:
+    from rtcomp.sources.candump import write_candump
+
+    write_candump(folder() / "seed.log", few_frames())
+    return (folder() / "seed.log").read_bytes()
+
+
+def _bundled(pattern: str) -> list[bytes]:
+    return [path.read_bytes() for path in sorted(data_folder().glob(pattern))]
+
+
+ASC = b"""date Sat Sep 30 10:06:13.191 PM 2017
+base hex  timestamps absolute
+internal events logged
+  0.000000 Start of measurement
+  0.015991 1  0A0             Rx   d 8 01 02 03 04 05 06 07 08
+  0.016991 CANFD   1 Rx  0A2  Msg  1 0 9 12 00 01 02 03 04 05 06 07 08 09 0a 0b 0 0 3000 0 0 0 0 0
+  0.020000 1  ErrorFrame
+"""
+CONFIG = (
+    b'bus = "virtual:x"\nmodel = ["yaw=m.json"]\ntrust = ["k.pub"]\nseconds = 3.5\nkeys = {yaw = "a/b"}\n'
+)
+CSV = b"t_s,rate_dps,temp_degC,ref_rate_dps\n0.0,1.0,20.0,1.1\n0.01,1.5,20.1,1.4\n0.02,-1e3,nan,\n"
+
+_SEEDS: dict[str, Callable[[], list[bytes]]] = {
+    "model": _models,
+    "swap": _models,
+    "frames": lambda: [few_frames()[:20].tobytes(), fog_format.encode_fd([START_NS], [1.0]).tobytes()],
+    "signal_map": lambda: _bundled("*.toml"),
+    "dbc": lambda: _bundled("fog.dbc"),
+    "config": lambda: [CONFIG],
+    "candump": lambda: [_log()],
+    "asc": lambda: [ASC],
+    "recording": lambda: [CSV],
+    "checkpoint": _checkpoints,
+}
+
+
+def finding(name: str, data: bytes) -> dict[str, Any]:
+    """A finding as a document that a regression test can be made of."""
+    return {"target": name, "input": data.hex()}
