@@ -11,6 +11,7 @@ from rtcomp.compensator import predict
 from rtcomp.model import Model
 from training.paper import error_left, experiment, model_of
 from training.rate_table import RateTable, ReferenceGyro, split_inside, split_points, split_soaks
+from training.simulator.scenario import Surface
 from training.validity import coverage, held_out_residuals, residual_table
 
 INSIDE_DEGC = (-10.0, 40.0)
@@ -26,7 +27,7 @@ EXTRAPOLATORS = (
     "oracle",
 )
 STATING = ("ts_refined", "physics_informed")
-GENTLE = ReferenceGyro(K0_s=0.02, alpha_per_K=0.0, g0=0.043, g1_per_K=-30e-6, g2_per_K2=0.0)
+GENTLE = ReferenceGyro(Surface(K0_s=0.02, alpha_per_K=0.0, g0=0.043, g1_per_K=-30e-6, g2_per_K2=0.0))
 """A closed-loop gyro (no sine) with a plain 4.3 % scale error and 30 ppm/K: nearly a plane over the inputs."""
 
 

@@ -1,12 +1,15 @@
 """The paper's rate-table experiment on the reference gyro (PHYSICS.md §4.2). Simulated, and always called so.
 
-m = G(T) sin(K(T) ω)/K0 with K = K0 (1 + αh), G = 1 + g0 + g1 h + g2 h², h = T − 25 °C, ω in rad/s inside;
-error e = m − ω. One soak shares one scale-factor deviation; a point is the mean of its samples.
+The surface m(T, ω) is the simulator's; error e = m − ω. One soak shares one scale-factor deviation; a point is the
+mean of its samples.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from training.simulator.gyro import surface_output
+from training.simulator.scenario import Surface
 
 ARW_DPS_PER_RTHZ = 0.05 / 60.0  # angle random walk of 0.05 °/√h
 
@@ -15,12 +18,7 @@ ARW_DPS_PER_RTHZ = 0.05 / 60.0  # angle random walk of 0.05 °/√h
 class ReferenceGyro:
     """Coefficients of PHYSICS.md §4.2 and §4.4."""
 
-    K0_s: float = 0.178
-    alpha_per_K: float = -350e-6
-    g0: float = 0.041
-    g1_per_K: float = -950e-6
-    g2_per_K2: float = 1.5e-6
-    ref_degC: float = 25.0
+    surface: Surface = Surface()
     bias_dps: float = 10 / 3600
     bias_dps_per_K: float = 0.1 / 3600
     coil_lag_s: float = 280.0
@@ -30,19 +28,17 @@ class ReferenceGyro:
 
     def measured_dps(self, temp_degC: np.ndarray, rate_dps: np.ndarray) -> np.ndarray:
         """What a noiseless gyro shows at true rate `rate_dps` [°/s] with its coil at `temp_degC`."""
-        h = temp_degC - self.ref_degC
-        K = self.K0_s * (1 + self.alpha_per_K * h)
-        G = 1 + self.g0 + self.g1_per_K * h + self.g2_per_K2 * h**2
-        shown = np.degrees(G * np.sin(K * np.radians(rate_dps)) / self.K0_s)
-        return shown + self.bias_dps + self.bias_dps_per_K * h
+        shown = surface_output(self.surface, rate_dps, temp_degC)
+        return shown + self.bias_dps + self.bias_dps_per_K * (temp_degC - self.surface.ref_degC)
 
     def error_dps(self, temp_degC: np.ndarray, measured_dps: np.ndarray) -> np.ndarray:
         """The true error surface e(T, m) [°/s] over the measured rate: what an oracle would subtract."""
-        h = temp_degC - self.ref_degC
-        K = self.K0_s * (1 + self.alpha_per_K * h)
-        G = 1 + self.g0 + self.g1_per_K * h + self.g2_per_K2 * h**2
+        p = self.surface
+        h = temp_degC - p.ref_degC
+        K = p.K0_s * (1 + p.alpha_per_K * h)
+        G = 1 + p.g0 + p.g1_per_K * h + p.g2_per_K2 * h**2
         optical = np.radians(measured_dps - self.bias_dps - self.bias_dps_per_K * h)
-        return measured_dps - np.degrees(np.arcsin(np.clip(optical * self.K0_s / G, -1, 1)) / K)
+        return measured_dps - np.degrees(np.arcsin(np.clip(optical * p.K0_s / G, -1, 1)) / K)
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ def simulate_samples(seed: int, gyro: ReferenceGyro, protocol: Protocol) -> np.n
 
 def coil_temperatures(temps: np.ndarray, gyro: ReferenceGyro, protocol: Protocol) -> np.ndarray:
     """Coil temperature at the end of each soak [°C]: what is left of the step decays with the coil's lag."""
-    before = np.concatenate([[gyro.ref_degC], temps[:-1]])
+    before = np.concatenate([[gyro.surface.ref_degC], temps[:-1]])
     return temps + (before - temps) * np.exp(-protocol.soak_s / gyro.coil_lag_s)
 
 
