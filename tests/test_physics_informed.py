@@ -20,7 +20,7 @@ def test_planted_coefficients_are_recovered():
     base = fit_base(table.temp_degC, table.rate_dps, table.error_dps).base
     assert isinstance(base, OpenLoopSine)
     for name in ("K0_s", "alpha_per_K", "g0", "g1_per_K", "g2_per_K2"):
-        assert getattr(base, name) == pytest.approx(getattr(gyro, name), rel=0.02)
+        assert getattr(base, name) == pytest.approx(getattr(gyro.surface, name), rel=0.02)
 
 
 def test_extrapolates_where_free_rules_do_not():

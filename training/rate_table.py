@@ -4,7 +4,7 @@ The surface m(T, ω) is the simulator's; error e = m − ω. One soak shares one
 mean of its samples.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,7 +18,7 @@ ARW_DPS_PER_RTHZ = 0.05 / 60.0  # angle random walk of 0.05 °/√h
 class ReferenceGyro:
     """Coefficients of PHYSICS.md §4.2 and §4.4."""
 
-    surface: Surface = Surface()
+    surface: Surface = field(default_factory=Surface)
     bias_dps: float = 10 / 3600
     bias_dps_per_K: float = 0.1 / 3600
     coil_lag_s: float = 280.0
