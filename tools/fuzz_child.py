@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import atheris
+from atheris.import_hook import instrument_imports
 
 GUIDED = ["rtcomp", "training", "tools", "can", "cantools", "textparser", "json"]
 ROOT = Path(__file__).parents[1]
@@ -25,7 +26,7 @@ def modules_with_kernels() -> list[str]:
 def main(name: str, arguments: list[str]) -> None:
     """Fuzz until the time is over or something is found."""
     logging.disable(logging.CRITICAL)
-    with atheris.instrument_imports(include=GUIDED, exclude=modules_with_kernels()):
+    with instrument_imports(include=GUIDED, exclude=modules_with_kernels()):
         from tools.fuzz_targets import run, seeds
 
         for seed in seeds(name):
