@@ -27,7 +27,7 @@ READINGS = (
     "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for figures 1 and 2 (PNG and SVG).",
+    help="Folder for figures 1 and 2 (PNG, SVG and a rerun recording).",
 )
 @click.option(
     "--beyond", is_flag=True, help="Also: extrapolation, coverage, a gentler surface, simulated drives."
@@ -91,9 +91,13 @@ def _further(seeds: int, beyond: bool, chamber: Path | None) -> dict[str, Any]:
 
 
 def _figures(out: Path) -> list[Path]:
+    from rtcomp.view.files import save_paper
     from training.paper_figures import draw, surfaces
 
-    return draw(surfaces(), out)
+    shown = surfaces()
+    files = draw(shown, out)
+    save_paper(shown, out / "paper.rrd")
+    return [*files, out / "paper.rrd"]
 
 
 def _console() -> Any:
