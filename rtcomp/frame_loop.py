@@ -170,7 +170,7 @@ def mark_message(plan, loop, m, bit):
 def find_message(plan, can_id, extended):
     """Index of the message; −3 − index when only the kind of id differs; IGNORED when nobody wants it."""
     wrong_kind = IGNORED
-    if not extended:
+    if not extended and can_id < STANDARD_IDS:
         m = plan.by_standard_id[can_id & (STANDARD_IDS - 1)]
         if m >= 0:
             return np.int64(m)

@@ -280,3 +280,11 @@ def test_swap_changes_the_model_without_a_gap_and_keeps_common_thermal_states(fo
 
 def test_the_sample_is_packed_as_its_schema_says():
     assert CORRECTED.itemsize == sum(CORRECTED[name].itemsize for name in CORRECTED.names)
+
+
+def test_an_11_bit_id_that_has_more_bits_is_no_message_of_the_map(fog_map):
+    frames = rates(3)
+    frames["can_id"][1] |= 0x800
+    pipeline, samples = run(fog_map, frames[:2])
+    assert pipeline.counts["ignored"] == 1
+    assert len(samples) == 1

@@ -140,7 +140,8 @@ def _damage(kind: str) -> tuple[type[Exception], ...]:
     can = import_can()
     from can.io.blf import BLFParseError
 
-    text = (ValueError, IndexError, KeyError, EOFError, zlib.error, OSError, struct.error, can.CanError)
+    numbers = (ValueError, OverflowError, IndexError, KeyError)
+    text = (*numbers, EOFError, zlib.error, OSError, struct.error, can.CanError)
     if kind == ".blf":
         return (*text, BLFParseError)
     if kind == ".db":

@@ -23,6 +23,8 @@ _FLAG_FIELDS = {
     "error_state_indicator": FrameFlag.ERROR_STATE,
 }
 SPECIAL = FrameFlag.REMOTE | FrameFlag.ERROR
+LARGEST_ID = 0x1FFFFFFF
+LATEST_S = 9.2e9  # beyond, int64 ns end
 
 
 @kernel
@@ -88,10 +90,16 @@ def to_frames(messages: Sequence["can.Message"]) -> NDArray[Any]:
     """Messages of a log as a new FRAME array with the log's times.
 
     The float seconds become ns by whole seconds and rest, so that only the float's own rounding is left.
+
+    Raises ValueError for a time or an id that no frame can have.
     """
     frames = np.empty(len(messages), FRAME)
     if len(messages):
         times = fill_frames(messages, frames)
+        if not (np.abs(times) < LATEST_S).all():
+            raise ValueError(f"a time that is none: {times[~(np.abs(times) < LATEST_S)][0]} s")
+        if frames["can_id"].max() > LARGEST_ID:
+            raise ValueError(f"a CAN id of more than 29 bits: 0x{frames['can_id'].max():X}")
         seconds = np.floor(times)
         rest_ns = np.rint((times - seconds) * 1e9).astype(np.int64)
         frames["t_ns"] = seconds.astype(np.int64) * 1_000_000_000 + rest_ns
