@@ -24,7 +24,9 @@ def noise(seed: int, n: int) -> np.ndarray:
     return 4e-3 * rng.standard_normal(n) + 4e-4 * np.sqrt(STEP_S / 3600.0) * np.cumsum(rng.standard_normal(n))
 
 
-def recording(seed: int, effect=None, static: bool = False, seconds: float = 5400.0, **extra: np.ndarray) -> Recording:
+def recording(
+    seed: int, effect=None, static: bool = False, seconds: float = 5400.0, **extra: np.ndarray
+) -> Recording:
     """A recording with `effect(t, rate, temp)` [dps] added to noise; `extra` columns replace or join the others."""
     t, rate, temp = profile(seconds, static)
     error = noise(seed, len(t)) if effect is None else noise(seed, len(t)) + effect(t, rate, temp)

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from diagnose_cases import lagged, profile, recording
 
-from training.diagnose.library import GROUPS, low_pass, play
+from training.diagnose.groups import GROUPS
+from training.diagnose.library import low_pass, play
 from training.diagnose.prepare import prepare, survey
 from training.effects.catalogue import catalogue
 

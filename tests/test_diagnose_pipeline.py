@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from diagnose_cases import lag_effect, profile, recording
+from scipy.interpolate import CubicSpline
 
 from rtcomp.errors import RequestError
 from training.diagnose.pipeline import analyse
@@ -31,7 +32,9 @@ def test_a_planted_lag_is_named_and_its_parameters_are_covered():
     assert abs(first.parameters["scale_ppm_per_K"].value / 40.0 - 1.0) < 0.15
     assert found.fit.heldout
     assert found.fit.rms_after_dps < found.fit.rms_before_dps
-    assert found.fit.improvement > 10 * abs(found.fit.placebo_improvement or 0.0) or found.fit.improvement > 0.2
+    assert (
+        found.fit.improvement > 10 * abs(found.fit.placebo_improvement or 0.0) or found.fit.improvement > 0.2
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,7 +60,7 @@ def test_a_step_is_placed_where_it_is():
 def test_a_delay_is_measured_and_not_taken_for_physics():
     t, rate, _ = profile()
     smooth_rate = np.convolve(rate, np.hanning(41) / np.hanning(41).sum(), mode="same")
-    late = np.interp(t - 0.12, t, smooth_rate)
+    late = CubicSpline(t, smooth_rate)(t - 0.12)
     case = recording(16)
     quiet = case.columns["rate_dps"] - rate
     case.columns.update(ref_rate_dps=smooth_rate, rate_dps=late + quiet)
@@ -97,7 +100,9 @@ def test_soaked_points_without_time_are_diagnosed():
 
 
 def test_leaving_the_true_entry_out_never_names_it():
-    found = diagnose(recording(12, lag_effect), settings=Settings(surrogates=16, left_out=frozenset({"thermal_lag"})))
+    found = diagnose(
+        recording(12, lag_effect), settings=Settings(surrogates=16, left_out=frozenset({"thermal_lag"}))
+    )
     assert all("thermal_lag" not in f.alternatives for f in found.findings)
     assert found.findings
 

@@ -14,8 +14,18 @@ from training.diagnose.settings import Settings
 from training.table import write_recording
 
 KEYS = {
-    "schema", "verdict", "sentence", "findings", "drivers", "fit", "alignment", "remainder", "noise", "visible_from",
-    "not_excited", "recordings",
+    "schema",
+    "verdict",
+    "sentence",
+    "findings",
+    "drivers",
+    "fit",
+    "alignment",
+    "remainder",
+    "noise",
+    "visible_from",
+    "not_excited",
+    "recordings",
 }
 
 
@@ -24,7 +34,9 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("diagnosis")
     for name, seed in (("drive", 31), ("unseen", 32)):
         write_recording(recording(seed, lag_effect), out / f"{name}.csv.gz")
-    run_diagnose([out / "drive.csv.gz"], out / "found", [out / "unseen.csv.gz"], settings=Settings(surrogates=16))
+    run_diagnose(
+        [out / "drive.csv.gz"], out / "found", [out / "unseen.csv.gz"], settings=Settings(surrogates=16)
+    )
     return out
 
 
@@ -49,7 +61,9 @@ def test_the_heldout_table_has_the_recordings_rows_and_mends_them(folder):
 def test_the_extended_model_carries_the_effect_to_the_compensator(folder):
     unseen = recording(32, lag_effect)
     model = load_model(folder / "found/extended.json")
-    corrected = unseen["rate_dps"] - predict(model, unseen["rate_dps"], unseen["temp_degC"], unseen["t_s"]).error_dps
+    corrected = (
+        unseen["rate_dps"] - predict(model, unseen["rate_dps"], unseen["temp_degC"], unseen["t_s"]).error_dps
+    )
     before = np.std(unseen["rate_dps"] - unseen["ref_rate_dps"])
     assert np.std(corrected - unseen["ref_rate_dps"]) < 0.8 * before
 

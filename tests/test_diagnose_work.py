@@ -13,7 +13,9 @@ def made(points=False):
     if points:
         c = {k: v[::40] for k, v in c.items() if k != "t_s"}
         c["temp_degC"] = np.round(c["temp_degC"] / 10) * 10
-    return prepare("a", c, c["rate_dps"], c["ref_rate_dps"], c["ref_rate_dps"], np.ones(len(c["rate_dps"]), bool))
+    return prepare(
+        "a", c, c["rate_dps"], c["ref_rate_dps"], c["ref_rate_dps"], np.ones(len(c["rate_dps"]), bool)
+    )
 
 
 def test_the_transform_keeps_norms_for_series_and_points():

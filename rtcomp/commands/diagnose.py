@@ -29,23 +29,71 @@ class _Command(click.Command):
 
 @click.command("diagnose", cls=_Command)
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
-@click.option("--heldout", multiple=True, type=FILE, help="Recording kept for the proof; may be given several times.")
-@click.option("--simulation", type=FILE, help="Scenario TOML of the simulator, or a model file; else the column sim_rate_dps, else an ideal gyro.")
-@click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder for the report and the other files.")
+@click.option(
+    "--heldout", multiple=True, type=FILE, help="Recording kept for the proof; may be given several times."
+)
+@click.option(
+    "--simulation",
+    type=FILE,
+    help="Scenario TOML of the simulator, or a model file; else the column sim_rate_dps, else an ideal gyro.",
+)
+@click.option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for the report and the other files.",
+)
 @click.option("--static", is_flag=True, help="The unit did not turn: the true rate is zero.")
-@click.option("--power-on", type=click.Choice(["known", "unknown"]), default="known", show_default=True, help="Whether t_s counts from power-on.")
+@click.option(
+    "--power-on",
+    type=click.Choice(["known", "unknown"]),
+    default="known",
+    show_default=True,
+    help="Whether t_s counts from power-on.",
+)
 @click.option("--columns", help="Rename columns: rate_dps=gyro_x_dps,temp_degC=temp_C.")
 @click.option("--dbc", type=FILE, help="DBC file, for CAN logs.")
 @click.option("--map", "signal_map", help="Signal map (name or file), for CAN logs.")
-@click.option("--offset-tol", type=click.FloatRange(min=0.0), default=0.5, show_default=True, help="Offset [°/s] beyond which it is a finding.")
-@click.option("--scale-tol", type=click.FloatRange(min=0.0), default=10_000.0, show_default=True, help="Scale error [ppm] beyond which it is a finding.")
-@click.option("--seed", type=click.IntRange(min=0), default=20_240_501, show_default=True, help="Seed of the surrogates.")
-@click.option("--without", multiple=True, help="Leave an effect out of the catalogue (a control of the tool itself).")
+@click.option(
+    "--offset-tol",
+    type=click.FloatRange(min=0.0),
+    default=0.5,
+    show_default=True,
+    help="Offset [°/s] beyond which it is a finding.",
+)
+@click.option(
+    "--scale-tol",
+    type=click.FloatRange(min=0.0),
+    default=10_000.0,
+    show_default=True,
+    help="Scale error [ppm] beyond which it is a finding.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=20_240_501,
+    show_default=True,
+    help="Seed of the surrogates.",
+)
+@click.option(
+    "--without", multiple=True, help="Leave an effect out of the catalogue (a control of the tool itself)."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on one line.")
 def command(
-    recordings: tuple[Path, ...], heldout: tuple[Path, ...], simulation: Path | None, out: Path, static: bool,
-    power_on: str, columns: str | None, dbc: Path | None, signal_map: str | None, offset_tol: float, scale_tol: float,
-    seed: int, without: tuple[str, ...], as_json: bool,
+    recordings: tuple[Path, ...],
+    heldout: tuple[Path, ...],
+    simulation: Path | None,
+    out: Path,
+    static: bool,
+    power_on: str,
+    columns: str | None,
+    dbc: Path | None,
+    signal_map: str | None,
+    offset_tol: float,
+    scale_tol: float,
+    seed: int,
+    without: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Say what physics is missing where a simulation and RECORDINGS differ, model it, and prove it.
 
@@ -61,8 +109,12 @@ def command(
     from training.table import parse_columns
 
     settings = Settings(
-        static=static, power_on_known=power_on == "known", offset_tol_dps=offset_tol, scale_tol_ppm=scale_tol,
-        seed=seed, left_out=frozenset(without),
+        static=static,
+        power_on_known=power_on == "known",
+        offset_tol_dps=offset_tol,
+        scale_tol_ppm=scale_tol,
+        seed=seed,
+        left_out=frozenset(without),
     )
     with _progress() as told:
         found = run_diagnose(
@@ -73,22 +125,33 @@ def command(
         return
     click.echo(found.sentence)
     for finding in found.findings:
-        click.echo(f"  {finding.status:9s} {' | '.join(finding.alternatives)}: {finding.rms_dps:.3g} °/s rms, p = {finding.p_value:.1g}")
+        click.echo(
+            f"  {finding.status:9s} {' | '.join(finding.alternatives)}: {finding.rms_dps:.3g} °/s rms, p = {finding.p_value:.1g}"
+        )
     fit = found.fit
-    click.echo(f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {'held-out recordings' if fit.heldout else 'held-out blocks'}")
+    click.echo(
+        f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {'held-out recordings' if fit.heldout else 'held-out blocks'}"
+    )
     click.echo(f"report: {out / 'report.html'}")
 
 
 class _progress:  # noqa: N801
     """Shows the stage on a terminal, says it to the log otherwise."""
 
-    def __enter__(self):  # noqa: ANN204
+    def __enter__(self):
         """Start the display."""
         from rich.console import Console
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
         console = Console(stderr=True)
-        self._bar = Progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True, disable=not console.is_terminal)
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
         self._bar.start()
         self._task = self._bar.add_task("read")
         return self._say

@@ -6,12 +6,14 @@ likelihood says which, or that it cannot say.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy import optimize, signal
 
 from training.diagnose.design import Domain, Frame, domain
 from training.diagnose.library import ROOM_DEGC
+from training.diagnose.likelihood import inverse
 from training.diagnose.prepare import prepare
 from training.diagnose.reference import Reference
 from training.diagnose.work import FloatArray, Work
@@ -44,7 +46,11 @@ class Timing:
 
 
 def align(
-    columns: dict[str, FloatArray], residual: FloatArray, ref: Reference, valid: np.ndarray, spread: FloatArray | None = None
+    columns: dict[str, FloatArray],
+    residual: FloatArray,
+    ref: Reference,
+    valid: np.ndarray,
+    spread: FloatArray | None = None,
 ) -> Timing:
     """Fit the timing of one recording; `residual` (n,) is measured − simulated [dps], `spread` its relative noise."""
     t = columns["t_s"]
@@ -58,7 +64,10 @@ def align(
     slope = ref.spline(t, 1)
     first = base.gain([slope, span * slope])
     timing = _moved_fit(base, work, t, span, residual, ref)
-    if max(first[0], timing.gains.get("both", 0.0)) < SIGNIFICANT and base.gain([slope, ref.spline(t, 2)])[0] < SIGNIFICANT:
+    if (
+        max(first[0], timing.gains.get("both", 0.0)) < SIGNIFICANT
+        and base.gain([slope, ref.spline(t, 2)])[0] < SIGNIFICANT
+    ):
         timing.moved = ref.rate
         return timing
     _decide(timing, base, t, span, residual, ref)
@@ -84,20 +93,28 @@ class _Base:
         self.frame = Frame([self.domain])
         self.null = self.frame.fit(self.frame.grams())
 
-    def gain(self, columns: list[FloatArray], target: FloatArray | None = None) -> tuple[float, FloatArray, FloatArray]:
+    def gain(
+        self, columns: list[FloatArray], target: FloatArray | None = None
+    ) -> tuple[float, FloatArray, FloatArray]:
         """(2 Δ log-likelihood, coefficients, standard errors) of full-rate columns added to the null."""
-        shared = np.stack([self.work.average(c) for c in columns], axis=1) if columns else np.empty((len(self.work), 0))
+        shared = (
+            np.stack([self.work.average(c) for c in columns], axis=1)
+            if columns
+            else np.empty((len(self.work), 0))
+        )
         extra = [self.work.transform(shared)] if columns else None
         frame = self.frame
         if target is not None:
             rows = self.work.transform(self.work.average(target)[:, None])
             frame = Frame([self.domain], targets=[rows])
         fit = frame.fit(frame.grams(extra=extra), self.null.weights)
-        errors = np.sqrt(np.diag(np.linalg.pinv(fit.information))) if columns else np.empty(0)
+        errors = np.sqrt(np.diag(inverse(fit.information))) if columns else np.empty(0)
         return 2.0 * (fit.loglik - self.null.loglik), fit.beta, errors
 
 
-def _moved_fit(base: _Base, work: Work, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference) -> Timing:
+def _moved_fit(
+    base: _Base, work: Work, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference
+) -> Timing:
     """Gauss-Newton on delay and clock drift with the exactly moved true rate."""
     delay, clock = 0.0, 0.0
     gain, errors = 0.0, np.full(2, np.nan)
@@ -116,7 +133,9 @@ def _moved_fit(base: _Base, work: Work, t: FloatArray, span: FloatArray, residua
     return timing
 
 
-def _decide(timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference) -> None:
+def _decide(
+    timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference
+) -> None:
     """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
     only, delay = _delay_only(base, t, residual, ref)
     bandwidth, corner, poles = _bandwidth(base, residual, t, ref)
@@ -183,12 +202,14 @@ def _bandwidth(base: _Base, residual: FloatArray, t: FloatArray, ref: Reference)
         losses = [loss(x) for x in grid]
         at = int(np.argmin(losses))
         bounds = (grid[max(at - 1, 0)], grid[min(at + 1, CORNERS - 1)])
-        found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 18})
-        best = max(best, (-float(found.fun), float(np.exp(found.x)), poles))
+        found: Any = optimize.minimize_scalar(
+            loss, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 18}
+        )
+        best = max(best, (-float(found["fun"]), float(np.exp(found["x"])), poles))
     return best
 
 
 def filtered(rate: FloatArray, sampling: float, corner: float, poles: int) -> FloatArray:
     """The rate after a Butterworth low-pass of one or two poles, settled at the start."""
-    b, a = signal.butter(poles, corner, fs=sampling)
+    b, a = np.asarray(signal.butter(poles, corner, fs=sampling))
     return signal.lfilter(b, a, rate, zi=signal.lfilter_zi(b, a) * rate[0])[0]

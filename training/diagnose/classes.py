@@ -29,10 +29,32 @@ TABLE = "compensation_table"
 PHASES = 12
 BIAS, SCALE, SHAPE, HEADING = "bias", "scale", "shape", "heading"
 FAMILY = {
-    **dict.fromkeys(("bias_temperature", "shupe", "bias_hysteresis", "polarization_ripple", "compensation_table",
-                     "bias_drift", "bias_warmup", "bias_step", "auto_zero"), BIAS),
-    **dict.fromkeys(("scale_temperature", "thermal_lag", "scale_hysteresis", "scale_temperature_rate", "source_ageing",
-                     "scale_warmup", "scale_step"), SCALE),
+    **dict.fromkeys(
+        (
+            "bias_temperature",
+            "shupe",
+            "bias_hysteresis",
+            "polarization_ripple",
+            "compensation_table",
+            "bias_drift",
+            "bias_warmup",
+            "bias_step",
+            "auto_zero",
+        ),
+        BIAS,
+    ),
+    **dict.fromkeys(
+        (
+            "scale_temperature",
+            "thermal_lag",
+            "scale_hysteresis",
+            "scale_temperature_rate",
+            "source_ageing",
+            "scale_warmup",
+            "scale_step",
+        ),
+        SCALE,
+    ),
     **dict.fromkeys(("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"), SHAPE),
     **dict.fromkeys(("magnetic", "table_eccentricity"), HEADING),
 }
@@ -90,7 +112,11 @@ def with_classes(
         models: dict[str, Model] = {}
         mine = found[part.effect].excess if part.effect in found else 0.0
         for effect, candidate in found.items():
-            if effect in taken or _contains(part, candidate) or candidate.excess < mine - 3.0 * allowed - 0.5 * mine:
+            if (
+                effect in taken
+                or _contains(part, candidate)
+                or candidate.excess < mine - 3.0 * allowed - 0.5 * mine
+            ):
                 continue
             rival = _rival(library, domains, null, without, candidate, len(part.points))
             if reference - score(rival) < allowed:
@@ -129,7 +155,10 @@ def sawtooth_model(domains: Sequence[Domain], without: Model, group: Group, ripp
 
 def _contains(part: Part, rival: Candidate) -> bool:
     """Whether the rival merely carries the part's own column along (a hysteresis with its static slope)."""
-    return part.effect in ("bias_temperature", "scale_temperature") and rival.variant.parameters.get("with_static", 0.0) > 0.0
+    return (
+        part.effect in ("bias_temperature", "scale_temperature")
+        and rival.variant.parameters.get("with_static", 0.0) > 0.0
+    )
 
 
 def preferred(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ class Fit:
 
 def domain(work: Work, extra: Sequence[FloatArray] = ()) -> Domain:
     """Transform a recording: nuisances are its offset, its scale factor and `extra` columns."""
-    columns = [np.ones(len(work)), *( [work.w] if np.ptp(work.w) > 0 else [] ), *extra]
+    columns = [np.ones(len(work)), *([work.w] if np.ptp(work.w) > 0 else []), *extra]
     stack = work.transform(np.stack([*columns, work.y], axis=1))
     stack[:, :-1] /= np.sqrt(np.sum(stack[:, :-1] ** 2, axis=0)) + 1e-300
     return Domain(work, stack[:, :-1], stack[:, -1], work.bands(), work.noise_shapes())
@@ -60,14 +61,16 @@ def domain(work: Work, extra: Sequence[FloatArray] = ()) -> Domain:
 
 def band_gram(left: FloatArray, right: FloatArray, edges: NDArray[np.int64]) -> FloatArray:
     """left_b' right_b for every band, shape `(bands, left columns, right columns)`."""
-    parts = [left[a:b].T @ right[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [left[a:b].T @ right[a:b] for a, b in pairwise(edges)]
     return np.asarray(parts, dtype=np.float64)
 
 
 class Frame:
     """Nuisances, chosen shared columns and targets of all recordings, with their Gram matrices."""
 
-    def __init__(self, domains: Sequence[Domain], chosen: Sequence[FloatArray] = (), targets: Sequence[FloatArray] = ()):
+    def __init__(
+        self, domains: Sequence[Domain], chosen: Sequence[FloatArray] = (), targets: Sequence[FloatArray] = ()
+    ):
         self.domains = list(domains)
         self.q = max(d.nuisance.shape[1] for d in domains)
         self.chosen = list(chosen) or [np.empty((len(d.target), 0)) for d in domains]
@@ -98,9 +101,13 @@ class Frame:
         """Noise weights from the raw band powers of the target."""
         powers = np.maximum(grams[:, -1, -1] / self.counts, 1e-300)
         parts = [slice(a, b) for a, b in zip(self.firsts[:-1], self.firsts[1:], strict=True)]
-        return np.asarray([start(np.ascontiguousarray(self.phi[:, s]), self.counts[s], powers[s]) for s in parts])
+        return np.asarray(
+            [start(np.ascontiguousarray(self.phi[:, s]), self.counts[s], powers[s]) for s in parts]
+        )
 
-    def fit(self, grams: FloatArray, weights: FloatArray | None = None, rounds: int = 12, inner: int = 25) -> Fit:
+    def fit(
+        self, grams: FloatArray, weights: FloatArray | None = None, rounds: int = 12, inner: int = 25
+    ) -> Fit:
         """Joint fit of coefficients and noise on these Gram matrices."""
         a = self.first_weights(grams) if weights is None else weights.copy()
         loglik, beta, information, nuisance, _, spectrum = profile(
@@ -125,7 +132,9 @@ def own_grams(rows, edges, firsts, widths, out):
 
 
 @kernel
-def scan_range(base, cross, own, target, counts, firsts, phi, a, q, widths, starts, rounds, inner, low, high, out):
+def scan_range(
+    base, cross, own, target, counts, firsts, phi, a, q, widths, starts, rounds, inner, low, high, out
+):
     """Log-likelihood of [nuisance | chosen | variant] for the variants low..high−1.
 
     `base` (bands, k+1, k+1) over [nuisance | chosen | target]; `cross` (bands, M, k) library × [nuisance | chosen];
@@ -172,7 +181,7 @@ class Library:
         rows = np.empty((int(self.widths.sum()), len(d.work)), dtype=np.float32)
         for v in self.variants:
             columns = np.stack(v.group.columns(d.work, v.parameters), axis=1)
-            rows[v.first : v.first + v.width] = d.work.transform(columns).T 
+            rows[v.first : v.first + v.width] = d.work.transform(columns).T
         return rows
 
     def _own(self, i: int) -> FloatArray:
@@ -187,18 +196,30 @@ class Library:
         parts = []
         for i, d in enumerate(self.domains):
             columns = right[i].astype(np.float32)
-            parts += [self.rows[i][:, a:b] @ columns[a:b] for a, b in zip(d.edges[:-1], d.edges[1:], strict=True)]
+            parts += [
+                self.rows[i][:, a:b] @ columns[a:b] for a, b in zip(d.edges[:-1], d.edges[1:], strict=True)
+            ]
         return np.asarray(parts, dtype=np.float64)
 
     def scan(self, frame: Frame, fit: Fit, column: int, cross: FloatArray, target: FloatArray) -> FloatArray:
         """Log-likelihood of every variant added to the frame, starting from the noise of `fit`."""
         base = frame.grams(column)
         out = np.empty(len(self.variants))
-        arguments = (base, cross, self.own, np.ascontiguousarray(target), frame.counts, frame.firsts, frame.phi)
+        arguments = (
+            base,
+            cross,
+            self.own,
+            np.ascontiguousarray(target),
+            frame.counts,
+            frame.firsts,
+            frame.phi,
+        )
         cuts = np.linspace(0, len(out), 2 * THREADS + 1).astype(int)
 
         def run(low: int, high: int) -> None:
-            scan_range(*arguments, fit.weights, frame.q, self.widths, self.starts, ROUNDS, INNER, low, high, out)
+            scan_range(
+                *arguments, fit.weights, frame.q, self.widths, self.starts, ROUNDS, INNER, low, high, out
+            )
 
         with ThreadPoolExecutor(THREADS) as pool:
             list(pool.map(run, cuts[:-1], cuts[1:]))

@@ -142,7 +142,9 @@ class Diagnosis(Struct, forbid_unknown_fields=True):
 
 def to_json(diagnosis: Diagnosis) -> str:
     """The document on one line; numbers that are not finite become null-free bounds before they get here."""
-    return json.dumps(_finite(msgspec.to_builtins(diagnosis, enc_hook=float)), allow_nan=False, ensure_ascii=False)
+    return json.dumps(
+        _finite(msgspec.to_builtins(diagnosis, enc_hook=float)), allow_nan=False, ensure_ascii=False
+    )
 
 
 def _finite(value: Any) -> Any:
@@ -165,4 +167,6 @@ def write_text(path: Path, text: str) -> None:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise RequestError(f"cannot write {path}: {error.strerror}; give a folder that can be written to") from error
+        raise RequestError(
+            f"cannot write {path}: {error.strerror}; give a folder that can be written to"
+        ) from error

@@ -21,9 +21,13 @@ from training.diagnose.work import Work
 RATE_TAU_S = 40.0
 SIGMOID_KNOTS = 65
 UNKNOWN_DRIVERS = {
-    "temperature": ("temperature", False), "rate_times_temperature": ("temperature", True),
-    "temperature_rate": ("temperature_rate", False), "rate_times_temperature_rate": ("temperature_rate", True),
-    "rate": ("rate", False), "time": ("time_since_power_on", False), "rate_times_time": ("time_since_power_on", True),
+    "temperature": ("temperature", False),
+    "rate_times_temperature": ("temperature", True),
+    "temperature_rate": ("temperature_rate", False),
+    "rate_times_temperature_rate": ("temperature_rate", True),
+    "rate": ("rate", False),
+    "time": ("time_since_power_on", False),
+    "rate_times_time": ("time_since_power_on", True),
     "time_since_power_on": ("time_since_power_on", False),
 }
 
@@ -52,10 +56,12 @@ def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
         values = {name: float(v) for (name, _), v in zip(linear, beta[at : at + len(linear)], strict=True)}
         at += len(linear)
         kind = TERMS[part.effect]
-        parameters = {k: float(v) for k, v in point.items() if k in kind.names} | {k: v for k, v in values.items() if k in kind.names}
+        parameters = {k: float(v) for k, v in point.items() if k in kind.names} | {
+            k: v for k, v in values.items() if k in kind.names
+        }
         if not set(kind.required) <= set(parameters):
             return []
-        terms.append(Term(part.effect, parameters))
+        terms.append(Term(part.effect, dict(parameters)))
         for static, key in (("bias_temperature", "b1_dps_per_K"), ("scale_temperature", "s1_ppm_per_K")):
             if key in values and key not in kind.names:
                 terms.append(Term(static, {key: values[key]}))
@@ -72,12 +78,19 @@ def _unknown_term(analysis: Analysis) -> Term | None:
     works: list[Work] = [d.work for d in analysis.domains]
     pooled = np.concatenate([VALUES[unknown.driver][0](w) for w in works])
     point = unknown.part.points[0]
-    sets = {float(n): knots_of(pooled, n) for n in HATS}
-    knots = np.linspace(pooled.min(), pooled.max(), SIGMOID_KNOTS) if "centre" in point else sets[point["hats"]]
+    sets = {float(n): knots_of(pooled, n) for n in {*HATS, int(point["hats"])} if n > 1}
+    knots = (
+        np.linspace(pooled.min(), pooled.max(), SIGMOID_KNOTS) if "centre" in point else sets[point["hats"]]
+    )
     values = np.stack(basis_of(knots, sets, point), axis=1) @ beta
     if unknown.driver == "time_since_power_on":
         knots = np.exp(knots) - 60.0
-    parameters: dict[str, Any] = {"driver": driver, "times_rate": times_rate, "knots": knots.tolist(), "values_dps": values.tolist()}
+    parameters: dict[str, Any] = {
+        "driver": driver,
+        "times_rate": times_rate,
+        "knots": knots.tolist(),
+        "values_dps": values.tolist(),
+    }
     if driver == "temperature_rate":
         parameters["tau_s"] = RATE_TAU_S
     return Term("unknown", parameters)
@@ -92,7 +105,10 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     if works:
         temps = np.concatenate([w.temp for w in works])
         top = max(float(np.max(np.abs(w.w))) for w in works)
-        fields["validity"] = {"temp_degC": [float(temps.min()), float(temps.max())], "rate_dps": [-top * 1.05 - 1.0, top * 1.05 + 1.0]}
+        fields["validity"] = {
+            "temp_degC": [float(temps.min()), float(temps.max())],
+            "rate_dps": [-top * 1.05 - 1.0, top * 1.05 + 1.0],
+        }
     if base is not None:
         import msgspec
 
@@ -100,9 +116,13 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
         fields = {k: document[k] for k in ("inputs", "rules", "base", "filters", "sensor")} | fields
         fields["terms"] = [*document["terms"], *fields["terms"]]
     fields["provenance"] = {
-        "made_by": "rtcomp diagnose", "verdict": diagnosis.verdict, "not_causal": left, "seed": diagnosis.seed,
+        "made_by": "rtcomp diagnose",
+        "verdict": diagnosis.verdict,
+        "not_causal": left,
+        "seed": diagnosis.seed,
         "recordings": [note.sha256 or note.file for note in diagnosis.recordings if not note.heldout],
-        "improvement": diagnosis.fit.improvement, "adds_to_simulation": analysis.simulation.kind,
+        "improvement": diagnosis.fit.improvement,
+        "adds_to_simulation": analysis.simulation.kind,
     }
     save_model(new_model(**fields), path)
 

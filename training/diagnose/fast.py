@@ -5,6 +5,7 @@ against its own neighbourhood, and at the codes themselves.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage, optimize, stats
@@ -76,7 +77,7 @@ def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float)
     best = min(drivers, key=lambda name: fits[name][1])
     gain = (none[1] - fits[best][1]) / max(1.0, fits[best][2])
     share = fits[best][0][1] * float(np.mean(drivers[best])) / max(float(np.mean(power)), 1e-300)
-    rank = stats.spearmanr(power, drivers[best])
+    rank: Any = stats.spearmanr(power, drivers[best])
     if gain < WEIGHT_GAIN or share < VARIANCE_SHARE or rank.statistic < 0.0 or both[0][0] <= 0.0:
         return VarianceModel()
     model = VarianceModel(float(both[0][1] / both[0][0]), float(both[0][2] / both[0][0]))
@@ -88,8 +89,12 @@ def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float)
     unit, scale, key = ("ppm", 1e6, "sigma_ppm") if best == "multiplicative_noise" else ("s", 1.0, "sigma_s")
     error = 0.5 * value / np.sqrt(max(gain, 1.0))
     model.finding = FastFinding(
-        best, {key: (value * scale, float(error) * scale, unit)}, float(np.sqrt(share * np.mean(power))),
-        float(rank.pvalue), {other: cost} if cost < 10.0 else {}, "the variance of the residual follows the motion",
+        best,
+        {key: (value * scale, float(error) * scale, unit)},
+        float(np.sqrt(share * np.mean(power))),
+        float(rank.pvalue),
+        {other: cost} if cost < 10.0 else {},
+        "the variance of the residual follows the motion",
     )
     return model
 
@@ -109,7 +114,9 @@ def _gamma_fit(power: FloatArray, columns: list[FloatArray], dof: float) -> tupl
     return weights / size, deviance, deviance / max(len(power) - len(weights), 1)
 
 
-def line_finding(residual: FloatArray, rate: FloatArray, t: FloatArray, valid: np.ndarray) -> FastFinding | None:
+def line_finding(
+    residual: FloatArray, rate: FloatArray, t: FloatArray, valid: np.ndarray
+) -> FastFinding | None:
     """The strongest spectral line of the residual that the motion does not have (supply ripple, aliased or not)."""
     if len(residual) < 2000:
         return None
@@ -125,7 +132,11 @@ def line_finding(residual: FloatArray, rate: FloatArray, t: FloatArray, valid: n
     top = int(np.argmax(ratio))
     log_p = float(np.log(len(ratio)) - 0.5 * ratio[top] / 0.7)
     motion = np.abs(np.fft.rfft((rate - rate.mean()) * window)) ** 2
-    shared = motion[top] / max(float(np.median(motion[max(0, top - 200) : top + 200])), 1e-300) if np.ptp(rate) > 0 else 0.0
+    shared = (
+        motion[top] / max(float(np.median(motion[max(0, top - 200) : top + 200])), 1e-300)
+        if np.ptp(rate) > 0
+        else 0.0
+    )
     if log_p > LINE_LOG_P or shared > 30.0:
         return None
     band = slice(max(low, top - 3), top + 4)
@@ -134,8 +145,15 @@ def line_finding(residual: FloatArray, rate: FloatArray, t: FloatArray, valid: n
     error = amplitude / np.sqrt(max(ratio[top], 1.0))
     resolution = 0.5 / (len(flat) * step)
     return FastFinding(
-        "supply_ripple", {"frequency_Hz": (float(frequency[top]), resolution, "Hz"), "amplitude_dps": (amplitude, error, "dps")},
-        amplitude / np.sqrt(2.0), float(np.exp(max(log_p, -600.0))), {}, f"a line at {frequency[top]:.4g} Hz",
+        "supply_ripple",
+        {
+            "frequency_Hz": (float(frequency[top]), resolution, "Hz"),
+            "amplitude_dps": (amplitude, error, "dps"),
+        },
+        amplitude / np.sqrt(2.0),
+        float(np.exp(max(log_p, -600.0))),
+        {},
+        f"a line at {frequency[top]:.4g} Hz",
     )
 
 
@@ -165,6 +183,10 @@ def quantization_finding(rate: FloatArray, residual: FloatArray, valid: np.ndarr
     if expected < 0.8 * min(total, max(spread, expected)) or other > lsb / LSB_TO_NOISE:
         return None
     return FastFinding(
-        "quantization", {"lsb_dps": (lsb, 1e-3 * lsb, "dps")}, expected, 1e-12, {},
+        "quantization",
+        {"lsb_dps": (lsb, 1e-3 * lsb, "dps")},
+        expected,
+        1e-12,
+        {},
         f"the rate moves in steps of {lsb:.6g} °/s, coarser than its noise",
     )

@@ -38,7 +38,11 @@ VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
     "rate_times_temperature_rate": (temperature_rate, True, frozenset({"temperature", "rate", "clock"})),
     "time": (lambda k: k.t, False, frozenset({"clock"})),
     "rate_times_time": (lambda k: k.t, True, frozenset({"rate", "clock"})),
-    "time_since_power_on": (lambda k: np.log(np.maximum(k.t, 0.0) + 60.0), False, frozenset({"clock", "power_on"})),
+    "time_since_power_on": (
+        lambda k: np.log(np.maximum(k.t, 0.0) + 60.0),
+        False,
+        frozenset({"clock", "power_on"}),
+    ),
     "angular_acceleration": (_acceleration_of_rate, False, frozenset({"rate", "clock"})),
     "speed": (lambda k: k.extra["speed"], False, frozenset({"speed"})),
     "acceleration": (lambda k: k.extra["accel"], False, frozenset({"acceleration"})),
@@ -76,6 +80,8 @@ def generic_groups(works: list[Work]) -> tuple[Group, ...]:
         if np.ptp(pooled) <= 0.0:
             continue
         fine = HATS if driver in BENDING else HATS[:1]
+        if works[0].points and "temperature" in driver:
+            fine = (max(3, sum(int(np.max(w.clusters)) + 1 for w in works if w.clusters is not None) // 3),)
         sets = {float(n): knots_of(pooled, n) for n in fine}
         sets = {n: knots for n, knots in sets.items() if np.all(np.diff(knots) > 0.0)}
         if sets:
@@ -96,7 +102,9 @@ def _hat_group(
         count = 1 if "centre" in parameters else len(sets[parameters["hats"]]) - 1
         return [(f"value_{i}", unit) for i in range(1, count + 1)]
 
-    return Group(driver, lambda survey: [{"hats": n} for n in sets] + _sigmoids(driver, sets), columns, names, needs)
+    return Group(
+        driver, lambda survey: [{"hats": n} for n in sets] + _sigmoids(driver, sets), columns, names, needs
+    )
 
 
 def basis_of(values: FloatArray, sets: dict[float, FloatArray], parameters: Parameters) -> list[FloatArray]:
@@ -113,12 +121,22 @@ def _sigmoids(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
     knots = next(iter(sets.values()))
     span = float(knots[-1] - knots[0])
     centres = np.linspace(knots[0] + 0.06 * span, knots[-1] - 0.06 * span, 28)
-    return [{"hats": 0.0, "centre": float(c), "width": float(share * span)} for c in centres for share in (0.012, 0.03, 0.08)]
+    return [
+        {"hats": 0.0, "centre": float(c), "width": float(share * span)}
+        for c in centres
+        for share in (0.012, 0.03, 0.08)
+    ]
 
 
 def _cyclic_group(driver: str, prefix: str, needs: frozenset[str]) -> Group:
     keys = [f"{prefix}{kind}{k}" for k in (1, 2) for kind in ("cos", "sin")]
-    return Group(driver, _one, lambda work, p: [work.extra[key] for key in keys], lambda p: [(k, "dps") for k in keys], needs)
+    return Group(
+        driver,
+        _one,
+        lambda work, p: [work.extra[key] for key in keys],
+        lambda p: [(k, "dps") for k in keys],
+        needs,
+    )
 
 
 def _one(survey: Survey) -> list[Parameters]:

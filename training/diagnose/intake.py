@@ -6,8 +6,15 @@ import numpy as np
 
 from rtcomp.errors import RequestError
 from training.diagnose.align import Timing, align
-from training.diagnose.fast import FastFinding, VarianceModel, line_finding, quantization_finding, variance_model
-from training.diagnose.integrity import Checked, check
+from training.diagnose.checked import Checked
+from training.diagnose.fast import (
+    FastFinding,
+    VarianceModel,
+    line_finding,
+    quantization_finding,
+    variance_model,
+)
+from training.diagnose.integrity import check
 from training.diagnose.prepare import prepare
 from training.diagnose.reference import Reference, reference, unbiased
 from training.diagnose.settings import Settings
@@ -53,7 +60,13 @@ def truth_or_error(recording: Recording, static: bool) -> None:
         raise RequestError(f"{recording.name}: no rate_dps; rename a column with --columns rate_dps=NAME")
 
 
-def take_in(recording: Recording, checked: Checked, simulation: Simulation, settings: Settings, timing: Timing | None = None) -> Intake:
+def take_in(
+    recording: Recording,
+    checked: Checked,
+    simulation: Simulation,
+    settings: Settings,
+    timing: Timing | None = None,
+) -> Intake:
     """Simulate, align and average one checked recording; a given `timing` is applied instead of being fitted."""
     columns, valid = checked.columns, checked.valid
     simulated = simulation.rate(recording.name, columns, settings.static, settings.power_on_known)
@@ -78,7 +91,13 @@ def take_in(recording: Recording, checked: Checked, simulation: Simulation, sett
     fast += [variance.finding] if variance.finding is not None else []
     driving, noise = unbiased(ref, found.moved, left)
     work = prepare(
-        recording.name, columns, left, np.zeros_like(left), driving, valid, power_on_known=settings.power_on_known
+        recording.name,
+        columns,
+        left,
+        np.zeros_like(left),
+        driving,
+        valid,
+        power_on_known=settings.power_on_known,
     )
     lsb = quantized.parameters["lsb_dps"][0] if quantized is not None else 0.0
     work.rate_noise_dps = max(noise, lsb)
@@ -99,8 +118,14 @@ def full_work(intake: Intake, power_on_known: bool) -> Work:
     columns = intake.checked.columns
     everything = np.ones(len(intake.rate), dtype=bool)
     return prepare(
-        intake.recording.name, columns, intake.residual, np.zeros_like(intake.rate), intake.driving, everything,
-        power_on_known=power_on_known, max_blocks=10_000_000,
+        intake.recording.name,
+        columns,
+        intake.residual,
+        np.zeros_like(intake.rate),
+        intake.driving,
+        everything,
+        power_on_known=power_on_known,
+        max_blocks=10_000_000,
     )
 
 

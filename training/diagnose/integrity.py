@@ -4,48 +4,33 @@ What is found is repaired or masked, and masked samples never vote.  Each check 
 where it is a mismatch of its own, under which effect id.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
+from training.diagnose.checked import Checked, Fault
+from training.diagnose.frames import check_frozen, check_gaps
 from training.diagnose.work import FloatArray
 
-WRAPS_S = tuple(2.0**k * tick for tick in (1e-6, 1e-3, 1.0, 1e-2, 1e-4, 1e-5) for k in (8, 10, 12, 15, 16, 20, 24, 31, 32))
+WRAPS_S = tuple(
+    2.0**k * tick for tick in (1e-6, 1e-3, 1.0, 1e-2, 1e-4, 1e-5) for k in (8, 10, 12, 15, 16, 20, 24, 31, 32)
+)
 GAINS = {
-    "rad/s taken for °/s": np.pi / 180.0, "°/s taken for rad/s": 180.0 / np.pi, "sign": -1.0, "per 1000": 1e-3,
-    "times 1000": 1e3, "°/h taken for °/s": 3600.0, "°/s taken for °/h": 1.0 / 3600.0,
+    "rad/s taken for °/s": np.pi / 180.0,
+    "°/s taken for rad/s": 180.0 / np.pi,
+    "sign": -1.0,
+    "per 1000": 1e-3,
+    "times 1000": 1e3,
+    "°/h taken for °/s": 3600.0,
+    "°/s taken for °/h": 1.0 / 3600.0,
     **{f"2^{k}": 2.0**k for k in (-16, -8, -4, -3, -2, -1, 1, 2, 3, 4, 8, 16)},
-    "sign and rad/s": -np.pi / 180.0, "sign and °/s": -180.0 / np.pi, "rpm": 1.0 / 6.0, "from rpm": 6.0,
+    "sign and rad/s": -np.pi / 180.0,
+    "sign and °/s": -180.0 / np.pi,
+    "rpm": 1.0 / 6.0,
+    "from rpm": 6.0,
 }
 GAIN_TOLERANCE = 0.03
-PAUSE_S = 5.0
 MIN_ROWS = 40
 USABLE = 0.3
-LONG_RUN = 1e-9
-RARE = 0.02  # repeats rarer than this are not the codes' coarseness
-
-
-@dataclass
-class Fault:
-    """One integrity finding: the effect id, what was seen, how many samples, where, and its measured size."""
-
-    effect: str
-    text: str
-    samples: int
-    segments: list[tuple[float, float]] = field(default_factory=list)
-    parameters: dict[str, tuple[float, str]] = field(default_factory=dict)
-
-
-@dataclass
-class Checked:
-    """A recording after the checks: repaired columns, the mask of samples that may vote, faults and remarks."""
-
-    columns: dict[str, FloatArray]
-    valid: NDArray[np.bool_]
-    faults: list[Fault] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-    unusable: str | None = None
 
 
 def check(columns: dict[str, FloatArray], static: bool) -> Checked:
@@ -56,7 +41,9 @@ def check(columns: dict[str, FloatArray], static: bool) -> Checked:
         columns["ref_rate_dps"] = np.zeros(len(result.valid))
     _missing(result)
     if len(result.valid) < (8 if "t_s" not in columns else MIN_ROWS):
-        result.unusable = f"only {len(result.valid)} rows: too few to tell physics from noise; record at least minutes"
+        result.unusable = (
+            f"only {len(result.valid)} rows: too few to tell physics from noise; record at least minutes"
+        )
         return result
     if result.valid.mean() < USABLE:
         result.unusable = f"only {100 * result.valid.mean():.0f} % of the samples have values; record again"
@@ -68,8 +55,8 @@ def check(columns: dict[str, FloatArray], static: bool) -> Checked:
         _sentinels(result)
         _unit(result)
         if "t_s" in columns:
-            _frozen(result)
-            _gaps(result)
+            check_frozen(result)
+            check_gaps(result)
     if result.unusable is None and result.valid.mean() < USABLE:
         result.unusable = f"only {100 * result.valid.mean():.0f} % of the samples are usable; record again"
     return result
@@ -141,10 +128,15 @@ def _unwrap(result: Checked) -> None:
         for wrap in WRAPS_S:
             if abs(jump + wrap) <= max(3.0 * median, 1e-4 * wrap):
                 t[i + 1 :] += wrap
-                result.faults.append(Fault(
-                    "counter_wrap", f"the time stamp falls back by {wrap:.9g} s at row {i + 1}: a counter wrapped; unwrapped",
-                    1, [(float(t[i]), float(t[i + 1]))], {"wrap_s": (float(wrap), "s")},
-                ))
+                result.faults.append(
+                    Fault(
+                        "counter_wrap",
+                        f"the time stamp falls back by {wrap:.9g} s at row {i + 1}: a counter wrapped; unwrapped",
+                        1,
+                        [(float(t[i]), float(t[i + 1]))],
+                        {"wrap_s": (float(wrap), "s")},
+                    )
+                )
                 break
     result.columns["t_s"] = t
 
@@ -170,7 +162,7 @@ def _sentinels(result: Checked) -> None:
             values, counts = np.unique(rate[far], return_counts=True)
             top = int(np.argmax(counts))
             result.remarks.append(
-                f"{int(far.sum())} rates far outside what the motion allows (most often {values[top]:.6g} °/s): masked as sentinel codes"
+                f"{int(far.sum())} sentinel codes or spikes beyond the motion (most often {values[top]:.6g} °/s): masked"
             )
             result.valid = good & ~far
     temp = result.columns.get("temp_degC")
@@ -179,7 +171,9 @@ def _sentinels(result: Checked) -> None:
         if odd.any() and not odd.all():
             index = np.arange(len(temp))
             result.columns["temp_degC"] = np.interp(index, index[~odd], temp[~odd])
-            result.remarks.append(f"{int(odd.sum())} temperatures outside −90…180 °C: taken for sentinel codes and bridged")
+            result.remarks.append(
+                f"{int(odd.sum())} temperatures outside −90…180 °C: taken for sentinel codes and bridged"
+            )
 
 
 def _unit(result: Checked) -> None:
@@ -193,93 +187,13 @@ def _unit(result: Checked) -> None:
     for name, factor in GAINS.items():
         if fits > 0.9 and abs(gain / factor - 1.0) < GAIN_TOLERANCE:
             result.columns["rate_dps"] = result.columns["rate_dps"] / factor
-            result.faults.append(Fault(
-                "unit_error", f"the rate is {gain:.6g} times the reference: {name}; divided out", int(good.sum()),
-                [], {"factor": (float(factor), "1")},
-            ))
+            result.faults.append(
+                Fault(
+                    "unit_error",
+                    f"the rate is {gain:.6g} times the reference: {name}; divided out",
+                    int(good.sum()),
+                    [],
+                    {"factor": (float(factor), "1")},
+                )
+            )
             return
-
-
-def _frozen(result: Checked) -> None:
-    rate, ref, t = (result.columns[k] for k in ("rate_dps", "ref_rate_dps", "t_s"))
-    same = np.concatenate([[False], np.diff(rate) == 0.0]) & result.valid
-    if not same.any():
-        return
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    starts, ends = edges[::2] - 1, edges[1::2] - 1
-    lengths = ends - starts + 1
-    chance = min(0.95, max(float(same.mean()), 1.0 / len(rate)))
-    rails = np.abs(rate) >= 0.999 * np.max(np.abs(rate[result.valid]))
-    resting = _resting_code(rate, ref)
-    changes = np.diff(rate - ref)[result.valid[1:] & result.valid[:-1]]
-    jitter = max(1.4826 * float(np.median(np.abs(changes))), float(np.quantile(np.abs(changes), 0.9)) / 1.65)
-    steps = np.unique(np.abs(np.diff(rate[result.valid])))
-    lsb = float(steps[1]) if len(steps) > 1 else 0.0
-    chosen = []
-    for start, end, length in zip(starts, ends, lengths, strict=True):
-        moved = float(np.ptp(ref[start : end + 1]))
-        unlikely = chance < RARE and len(rate) * chance ** (length - 1) < LONG_RUN
-        contradicted = length >= 4 and moved > 4.0 * jitter + 2.0 * lsb
-        parked = rate[start] == resting and np.max(np.abs(ref[start : end + 1])) < 1.0
-        if _counter_stuck(result, start, end) or (not rails[start] and not parked and (unlikely or contradicted)):
-            chosen.append((start, end))
-    if not chosen:
-        return
-    for start, end in chosen:
-        result.valid[start + 1 : end + 1] = False
-    count = int(sum(end - start for start, end in chosen))
-    result.faults.append(Fault(
-        "frozen_frames", f"{count} samples in {len(chosen)} runs repeat the value before them: masked", count,
-        [(float(t[a]), float(t[b])) for a, b in chosen],
-        {"share": (count / len(rate), "1"), "longest_s": (float(max(t[b] - t[a] for a, b in chosen)), "s")},
-    ))
-
-
-def _resting_code(rate: FloatArray, ref: FloatArray) -> float:
-    """The code most often read at low rates: a dead band sticks there, and that is physics and not a frozen frame."""
-    slow = rate[np.abs(ref) < 0.5]
-    if not len(slow):
-        return float("nan")
-    values, counts = np.unique(slow, return_counts=True)
-    return float(values[np.argmax(counts)])
-
-
-def _counter_stuck(result: Checked, start: int, end: int) -> bool:
-    """Whether the frame counter stood still as well: then the frame was frozen whatever the rate did."""
-    counter = result.columns.get("counter")
-    return counter is not None and end > start and float(np.ptp(counter[start : end + 1])) == 0.0
-
-
-def _gaps(result: Checked) -> None:
-    t = result.columns["t_s"]
-    steps = np.diff(t)
-    median = float(np.median(steps))
-    long = steps > 1.6 * median
-    pauses = steps > max(PAUSE_S, 20.0 * median)
-    drops = long & ~pauses
-    lost = int(np.sum(np.rint(steps[drops] / median) - 1))
-    if pauses.any():
-        result.remarks.append(f"{int(pauses.sum())} pauses, the longest {float(steps.max()):.4g} s")
-    counted = _counter_losses(result)
-    missing = max(lost, counted)
-    if missing >= 5 and missing > 2e-4 * len(t):
-        where = np.flatnonzero(drops)
-        result.faults.append(Fault(
-            "dropped_frames", f"{missing} frames are missing in {int(drops.sum())} places", missing,
-            [(float(t[i]), float(t[i + 1])) for i in where[:200]], {"share": (missing / (len(t) + missing), "1")},
-        ))
-    elif missing:
-        result.remarks.append(f"{missing} frames are missing")
-
-
-def _counter_losses(result: Checked) -> int:
-    counter = result.columns.get("counter")
-    if counter is None or not np.isfinite(counter).all():
-        return 0
-    top = float(counter.max()) + 1.0
-    modulus = 2.0 ** np.ceil(np.log2(top)) if top > 2 else top
-    modulus = top if abs(top - modulus) > 0.02 * modulus else modulus
-    advance = np.mod(np.diff(counter), modulus) if np.any(np.diff(counter) < 0) else np.diff(counter)
-    usual = float(np.median(advance))
-    lost = advance[(advance > usual) & (advance < 0.5 * modulus)] / max(usual, 1.0) - 1.0
-    return int(np.sum(lost))

@@ -8,6 +8,7 @@ the noise, so a slow effect has to beat "there is more slow noise" and not a noi
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcomp.jit import kernel
 from training.diagnose.spectrum import update
@@ -69,7 +70,7 @@ def profile(grams, counts, firsts, phi, a, q, rounds, inner):
     for r in range(n_rec):
         part = slice(firsts[r], firsts[r + 1])
         spectrum[part] = update(a[r], phi[:, part], counts[part], counts[part], 0)
-    for step in range(rounds):
+    for _ in range(rounds):
         schur = np.zeros((p, p + 1))
         for r in range(n_rec):
             normal = np.zeros((m, m))
@@ -116,3 +117,10 @@ def profile(grams, counts, firsts, phi, a, q, rounds, inner):
     for b in range(n_bands):
         loglik -= 0.5 * counts[b] * (np.log(spectrum[b]) + powers[b] / spectrum[b])
     return loglik, beta, information, nuisance, powers, spectrum
+
+
+def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pseudo-inverse of an information matrix whose parameters have units of very different size."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    return np.asarray(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)) * scale[:, None] * scale[None, :]

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize
 
-from training.diagnose.design import Domain, Fit, Frame, Library, Variant
+from training.diagnose.design import Domain, Fit, Frame, Library
 from training.diagnose.library import Group, Parameters
-from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, scan
+from training.diagnose.likelihood import inverse
+from training.diagnose.search import Candidate, Null, price, scan
 from training.diagnose.work import FloatArray
 
 ALPHA = 1e-3
@@ -24,7 +25,11 @@ STRONGER = 10.0
 ONE_SHAPE = frozenset({"dead_band"})
 BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
 LONGER = 1.35
-STRICTER = {"bias_drift": 1e-6, "bias_step": 1e-5, "bias_warmup": 1e-4}  # a random walk or telegraph noise draws these by itself
+STRICTER = {
+    "bias_drift": 1e-6,
+    "bias_step": 1e-5,
+    "bias_warmup": 1e-4,
+}  # a random walk or telegraph noise draws these by itself
 ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 
@@ -76,13 +81,11 @@ def build(parts: Sequence[Part], domains: Sequence[Domain], weights: FloatArray 
     return Model(list(parts), frame, fit)
 
 
-def _width(parts: Sequence[Part]) -> int:
-    return sum(len(p.group.linear(point)) for p in parts for point in p.points)
-
-
 def score(model: Model) -> float:
     """2 log-likelihood less the price of its columns; comparable between models of the same data."""
-    return 2.0 * model.fit.loglik - EXTRA_COLUMN * _width(model.parts)
+    return 2.0 * model.fit.loglik - sum(
+        price(point, len(part.group.linear(point))) for part in model.parts for point in part.points
+    )
 
 
 def residual_scan(library: Library, model: Model, null: Null) -> dict[str, Candidate]:
@@ -103,31 +106,45 @@ def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: Fl
     if not names:
         return parts
     others = [p for i, p in enumerate(parts) if i != index]
-    fixed = [np.concatenate([part_columns(p, d) for p in others], axis=1) if others else None for d in domains]
+    fixed = [
+        np.concatenate([part_columns(p, d) for p in others], axis=1) if others else None for d in domains
+    ]
     head = Part(part.group, part.points[:-1])
     if head.points:
-        fixed = [c if f is None else np.concatenate([f, c], axis=1)
-                 for f, c in zip(fixed, [part_columns(head, d) for d in domains], strict=True)]
+        fixed = [
+            c if f is None else np.concatenate([f, c], axis=1)
+            for f, c in zip(fixed, [part_columns(head, d) for d in domains], strict=True)
+        ]
     frame = Frame(domains, [f for f in fixed if f is not None])
     start = part.points[-1]
 
     def point(x: FloatArray) -> Parameters:
-        moved = {n: start[n] * float(np.exp(v)) if n not in ADDITIVE else start[n] + ADDITIVE[n] * float(v)
-                 for n, v in zip(names, x, strict=True)}
+        moved = {
+            n: start[n] * float(np.exp(v)) if n not in ADDITIVE else start[n] + ADDITIVE[n] * float(v)
+            for n, v in zip(names, x, strict=True)
+        }
         return {**start, **moved}
 
     reach = 0.25 if {"lock_dps", "limit_dps"} & set(names) else 0.7
 
     def cost(x: FloatArray) -> float:
-        if np.max(np.abs(x)) > reach or point(x).get("tau_s", 0.0) > LONGER * start.get("tau_s", 0.0) or point(x).get("limit_dps", 0.0) > 1.02 * max(start.get("limit_dps", 0.0), 0.0):
+        if (
+            np.max(np.abs(x)) > reach
+            or point(x).get("tau_s", 0.0) > LONGER * start.get("tau_s", 0.0)
+            or point(x).get("limit_dps", 0.0) > 1.02 * max(start.get("limit_dps", 0.0), 0.0)
+        ):
             return 1e12
         extra = [d.work.transform(np.stack(part.group.columns(d.work, point(x)), axis=1)) for d in domains]
         return -frame.fit(frame.grams(extra=extra), weights, rounds=3, inner=6).loglik
 
     steps = [0.01 if n == "period_K" else 0.1 if n == "phase_K" else 0.12 for n in names]
     simplex = np.vstack([np.zeros(len(names)), np.diag(steps)])
-    found = optimize.minimize(cost, np.zeros(len(names)), method="Nelder-Mead",
-                              options={"maxfev": 24 * len(names), "xatol": 0.003, "fatol": 0.1, "initial_simplex": simplex})
+    found = optimize.minimize(
+        cost,
+        np.zeros(len(names)),
+        method="Nelder-Mead",
+        options={"maxfev": 24 * len(names), "xatol": 0.003, "fatol": 0.1, "initial_simplex": simplex},
+    )
     better = Part(part.group, [*part.points[:-1], point(found.x)], part.p_value)
     return [*parts[:index], better, *parts[index + 1 :]]
 
@@ -149,7 +166,11 @@ def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candida
     room = {p.effect: len(p.points) <= (0 if p.effect in ONE_SHAPE else MAX_SHAPES) for p in parts}
     points = {p.effect: p.points for p in parts}
     shapes = [c for e, c in found.items() if room.get(e, False) and _differs(c.variant.parameters, points[e])]
-    fresh = [c for e, c in found.items() if e not in room and null.p_value(c.excess) <= STRICTER.get(e, ALPHA)] if len(parts) < MAX_EFFECTS else []
+    fresh = (
+        [c for e, c in found.items() if e not in room and null.p_value(c.excess) <= STRICTER.get(e, ALPHA)]
+        if len(parts) < MAX_EFFECTS
+        else []
+    )
     shape = max(shapes, key=lambda c: c.excess, default=None)
     new = max(fresh, key=lambda c: c.excess, default=None)
     if shape is not None and (null.p_value(shape.excess) > SHAPE_ALPHA):
@@ -161,6 +182,7 @@ def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candida
 
 def _differs(new: Parameters, points: list[Parameters]) -> bool:
     """Whether a further point of a group's grid is a different shape and not the one that is there already."""
+
     def close(old: Parameters) -> bool:
         return all(abs(new[k] - old[k]) <= 0.2 * abs(old[k]) + 1e-9 for k in new if k in old)
 
@@ -170,12 +192,17 @@ def _differs(new: Parameters, points: list[Parameters]) -> bool:
 def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
     """Choose effects step by step; names whose coefficient physics forbids are barred and the choice made again."""
     barred: set[str] = set()
-    for _ in range(len(BOUNDS) + 1):
-        model = _chosen(library, domains, null, barred)
-        forbidden = {p.effect for p, where in zip(model.parts, model.slices(), strict=True) if _forbidden(p, model, where)}
+    model = _chosen(library, domains, null, barred)
+    for _ in range(len(BOUNDS)):
+        forbidden = {
+            p.effect
+            for p, where in zip(model.parts, model.slices(), strict=True)
+            if _forbidden(p, model, where)
+        }
         if not forbidden:
             break
         barred |= forbidden
+        model = _chosen(library, domains, null, barred)
     return model
 
 
@@ -226,7 +253,9 @@ def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Mode
     return model
 
 
-def best_rival(library: Library, domains: Sequence[Domain], null: Null, without: Model, barred: set[str]) -> Model | None:
+def best_rival(
+    library: Library, domains: Sequence[Domain], null: Null, without: Model, barred: set[str]
+) -> Model | None:
     """The best model with one group not in `barred` added to `without`."""
     found = {e: c for e, c in residual_scan(library, without, null).items() if e not in barred}
     if not found:
@@ -246,6 +275,6 @@ def partial_chi2(model: Model) -> list[float]:
         block = information[np.ix_(inside, inside)]
         if len(outside):
             bridge = information[np.ix_(inside, outside)]
-            block = block - bridge @ np.linalg.pinv(information[np.ix_(outside, outside)]) @ bridge.T
+            block = block - bridge @ inverse(information[np.ix_(outside, outside)]) @ bridge.T
         values.append(float(beta[inside] @ block @ beta[inside]))
     return values

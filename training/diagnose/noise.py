@@ -21,12 +21,19 @@ RATIO = 1.5
 def gyro_terms(weights: FloatArray, work: Work) -> dict[str, float]:
     """Angle random walk [deg/√h], bias instability [deg/h] and rate random walk [deg/h/√h] of fitted weights."""
     if work.points:
-        return {"white_dps": float(np.sqrt(weights[0])), "soak_scale_dps": float(np.sqrt(weights[1])),
-                "soak_bias_dps": float(np.sqrt(weights[2]))}
+        return {
+            "white_dps": float(np.sqrt(weights[0])),
+            "soak_scale_dps": float(np.sqrt(weights[1])),
+            "soak_bias_dps": float(np.sqrt(weights[2])),
+        }
     edges = work.bands()
     u = band_frequencies(edges, len(work))
-    scale = {name: float((phi / shape).max()) for name, phi, shape in zip(
-        SHAPES[:3], shapes(u, len(work))[:3], (np.ones_like(u), 1.0 / u, 1.0 / u**2), strict=True)}
+    scale = {
+        name: float((phi / shape).max())
+        for name, phi, shape in zip(
+            SHAPES[:3], shapes(u, len(work))[:3], (np.ones_like(u), 1.0 / u, 1.0 / u**2), strict=True
+        )
+    }
     white, flicker, walk = (weights[i] * scale[name] for i, name in enumerate(SHAPES[:3]))
     return {
         "arw_deg_rt_h": float(60.0 * np.sqrt(white * work.step_s)),
@@ -69,12 +76,21 @@ def noise_findings(analysis: Analysis) -> list[Finding]:
         return []
     ratio = float(np.exp(0.5 * worst[0]))
     half = ratio * 1.96 * float(np.sqrt(0.5 / worst[1]))
-    return [Finding(
-        effect="noise_level", status="named", alternatives=["noise_level"], separate_by=None, driver="time",
-        where=Where([[] for _ in analysis.intakes], []),
-        parameters={"ratio": Parameter(ratio, "1", (ratio - half, ratio + half))}, rms_dps=worst[2], p_value=1e-12,
-        text=f"{effect('noise_level').title}: the recording is {ratio:.2g} times as noisy as the simulation", strength=0.0,
-    )]
+    return [
+        Finding(
+            effect="noise_level",
+            status="named",
+            alternatives=["noise_level"],
+            separate_by=None,
+            driver="time",
+            where=Where([[] for _ in analysis.intakes], []),
+            parameters={"ratio": Parameter(ratio, "1", (ratio - half, ratio + half))},
+            rms_dps=worst[2],
+            p_value=1e-12,
+            text=f"{effect('noise_level').title}: the recording is {ratio:.2g} times as noisy as the simulation",
+            strength=0.0,
+        )
+    ]
 
 
 def _expected(noise: dict[str, float], work: Work) -> FloatArray:

@@ -46,13 +46,18 @@ def time_strips(analysis: Analysis, diagnosis: Diagnosis) -> str:
     for index in range(count):
         axis, work = axes[index][0], analysis.intakes[index].work
         width = 1.0 if work.points else len(work) * work.step_s / 300.0
-        for values, colour, label in zip(_curves(analysis, index), (BEFORE, AFTER), ("before", "after"), strict=True):
+        for values, colour, label in zip(
+            _curves(analysis, index), (BEFORE, AFTER), ("before", "after"), strict=True
+        ):
             shown = values if work.points else smooth(values, work.step_s, width)
             axis.plot(work.t, shown, color=colour, lw=0.9, label=label)
         for finding in diagnosis.findings[:1]:
             for start, end in finding.where.segments[index] if index < len(finding.where.segments) else []:
                 axis.axvspan(start, end, color=MARK, alpha=0.45, lw=0)
-        axis.set_title(f"{analysis.intakes[index].recording.name}: error against the simulation (offset and scale removed)", fontsize=9)
+        axis.set_title(
+            f"{analysis.intakes[index].recording.name}: error against the simulation (offset and scale removed)",
+            fontsize=9,
+        )
         axis.set_ylabel("°/s")
         axis.set_xlabel("row" if work.points else "t [s]")
         axis.legend(loc="upper right", fontsize=8)
@@ -65,7 +70,11 @@ def time_strips(analysis: Analysis, diagnosis: Diagnosis) -> str:
 
 def driver_plots(analysis: Analysis, diagnosis: Diagnosis) -> str | None:
     """Mean error over each located driver, before and after, with the regimes marked."""
-    names = list(dict.fromkeys([f.driver for f in diagnosis.findings] + [d.driver for d in diagnosis.drivers if d.p_value < 0.01]))
+    names = list(
+        dict.fromkeys(
+            [f.driver for f in diagnosis.findings] + [d.driver for d in diagnosis.drivers if d.p_value < 0.01]
+        )
+    )
     shown = [n for n in names if driver_values(n, analysis.intakes[0].work) is not None][:4]
     if not shown:
         return None
@@ -96,7 +105,9 @@ def _driver_plot(axis: Any, analysis: Analysis, name: str) -> None:
     axis.legend(fontsize=8)
 
 
-def _binned(values: FloatArray, errors: FloatArray, weights: FloatArray, bins: int = 30) -> tuple[FloatArray, FloatArray]:
+def _binned(
+    values: FloatArray, errors: FloatArray, weights: FloatArray, bins: int = 30
+) -> tuple[FloatArray, FloatArray]:
     edges = np.linspace(values.min(), values.max(), bins + 1)
     place = np.clip(np.digitize(values, edges) - 1, 0, bins - 1)
     total = np.bincount(place, weights=weights, minlength=bins)
@@ -114,7 +125,9 @@ def allan_plot(analysis: Analysis) -> str | None:
     figure, axes = _figure(1, 3.2)
     axis, work = axes[0][0], analysis.intakes[0].work
     for values, colour, label in zip(_curves(analysis, 0), (BEFORE, AFTER), ("before", "after"), strict=True):
-        taus, deviation, _, _ = allantools.oadev(values, rate=1.0 / work.step_s, data_type="freq", taus="octave")
+        taus, deviation, _, _ = allantools.oadev(
+            values, rate=1.0 / work.step_s, data_type="freq", taus="octave"
+        )
         axis.loglog(taus, 3600.0 * deviation, "o-", color=colour, ms=3, lw=0.9, label=label)
     axis.set_xlabel("averaging time [s]")
     axis.set_ylabel("Allan deviation [°/h]")
@@ -130,7 +143,10 @@ def heldout_plot(analysis: Analysis) -> str | None:
         return None
     figure, axes = _figure(len(proofs), 2.0)
     for axis, proof in zip(axes[:, 0], proofs, strict=True):
-        for values, colour, label in ((proof.slow_before, BEFORE, "before"), (proof.slow_after, AFTER, "after")):
+        for values, colour, label in (
+            (proof.slow_before, BEFORE, "before"),
+            (proof.slow_after, AFTER, "after"),
+        ):
             axis.plot(_thin(values), color=colour, lw=0.8, label=label)
         axis.set_title(f"{proof.name}: misfit not used for the fit", fontsize=9)
         axis.set_ylabel("°/s")
@@ -146,6 +162,7 @@ def _thin(values: FloatArray, width: int = 15) -> FloatArray:
 def regime_text(findings: Sequence[Finding]) -> list[str]:
     """The regimes of every finding in words."""
     return [
-        ", ".join(f"{r.driver.replace('_', ' ')} {r.low:.4g} … {r.high:.4g}" for r in f.where.regimes[:4]) or "everywhere"
+        ", ".join(f"{r.driver.replace('_', ' ')} {r.low:.4g} … {r.high:.4g}" for r in f.where.regimes[:4])
+        or "everywhere"
         for f in findings
     ]

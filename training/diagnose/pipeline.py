@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtcomp.errors import RequestError
+from training.diagnose.checked import Checked
 from training.diagnose.classes import demoted, preferred
 from training.diagnose.design import Domain, Frame, Library, domain
 from training.diagnose.generic import generic_groups
+from training.diagnose.groups import GROUPS
 from training.diagnose.intake import Intake, checked_recording, take_in
-from training.diagnose.integrity import Checked
-from training.diagnose.library import GROUPS, Survey
+from training.diagnose.library import Survey
 from training.diagnose.naming import Model, build, forward
 from training.diagnose.prepare import survey
 from training.diagnose.prove import Proof, folded, placebo, predicted, prove
@@ -50,7 +51,10 @@ class Analysis:
 
 
 def analyse(
-    recordings: Sequence[Recording], heldout: Sequence[Recording], simulation: Simulation, settings: Settings,
+    recordings: Sequence[Recording],
+    heldout: Sequence[Recording],
+    simulation: Simulation,
+    settings: Settings,
     progress: Progress = lambda stage: None,
 ) -> Analysis:
     """Run every stage; held-out recordings are touched only by the proof."""
@@ -60,7 +64,9 @@ def analyse(
     usable = [(r, c) for r, c in checked if not c.unusable]
     kinds = {"t_s" in c.columns for _, c in usable}
     if len(kinds) > 1:
-        raise RequestError("some recordings have t_s and others not; diagnose soaked points and time series apart")
+        raise RequestError(
+            "some recordings have t_s and others not; diagnose soaked points and time series apart"
+        )
     progress("align")
     intakes = [take_in(r, c, simulation, settings) for r, c in usable]
     analysis = Analysis(settings, simulation, intakes, [], unusable=unusable)
@@ -90,7 +96,9 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     if not library.variants:
         analysis.model, analysis.library = base, None
         return
-    null = analysis.null = surrogate_null(library, domains, base.fit, settings.seed, count=settings.surrogates)
+    null = analysis.null = surrogate_null(
+        library, domains, base.fit, settings.seed, count=settings.surrogates
+    )
     progress("locate")
     generic = Library(domains, [g for g in generic_groups(works) if g.needs <= found.has], found)
     analysis.located, generic_null = locate(generic, domains, base, settings.seed + 1)
@@ -98,7 +106,9 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     model = forward(library, domains, null)
     model, analysis.demoted = demoted(model, domains)
     analysis.model = preferred(library, domains, null, model)
-    analysis.model, analysis.unknown = unexplained(generic, domains, analysis.model, generic_null, analysis.demoted)
+    analysis.model, analysis.unknown = unexplained(
+        generic, domains, analysis.model, generic_null, analysis.demoted
+    )
 
 
 def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:

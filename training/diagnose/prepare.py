@@ -41,8 +41,16 @@ def prepare(
 
     temp = _temperature(columns.get("temp_degC"), t, average, step)
     work = Work(
-        name=name, t=grid[keep], y=raw[keep], w=kept(true_rate), temp=temp[keep], step_s=step, points=False,
-        power_on_known=power_on_known, average=kept, keep=keep,
+        name=name,
+        t=grid[keep],
+        y=raw[keep],
+        w=kept(true_rate),
+        temp=temp[keep],
+        step_s=step,
+        points=False,
+        power_on_known=power_on_known,
+        average=kept,
+        keep=keep,
         full={"w": true_rate, "w_max": np.asarray([float(np.max(np.abs(true_rate)))])},
         spread=np.ones(int(keep.sum())),
     )
@@ -50,7 +58,7 @@ def prepare(
     return work
 
 
-def _temperature(temp: FloatArray | None, t: FloatArray, average, step: float) -> FloatArray:  # noqa: ANN001
+def _temperature(temp: FloatArray | None, t: FloatArray, average, step: float) -> FloatArray:
     """Block temperature, gaps bridged, smoothed against the sensor's steps and noise."""
     if temp is None:
         mean = average(np.zeros(len(t)))
@@ -71,13 +79,24 @@ def _smoothing_s(temp: FloatArray) -> float:
     return next((width for limit, width in SMOOTHING_S if grain < limit), SMOOTHING_S[-1][1])
 
 
-def _points(name: str, columns: dict[str, FloatArray], y: FloatArray, w: FloatArray, valid: NDArray[np.bool_]) -> Work:
+def _points(
+    name: str, columns: dict[str, FloatArray], y: FloatArray, w: FloatArray, valid: NDArray[np.bool_]
+) -> Work:
     keep = valid.copy()
     temp = columns.get("temp_degC", np.full(len(y), 25.0))[keep]
     work = Work(
-        name=name, t=np.arange(int(keep.sum()), dtype=float), y=y[keep], w=w[keep], temp=temp, step_s=1.0, points=True,
-        power_on_known=False, average=lambda values: values[keep], keep=keep,
-        full={"w": w, "w_max": np.asarray([float(np.max(np.abs(w)))])}, spread=np.ones(int(keep.sum())),
+        name=name,
+        t=np.arange(int(keep.sum()), dtype=float),
+        y=y[keep],
+        w=w[keep],
+        temp=temp,
+        step_s=1.0,
+        points=True,
+        power_on_known=False,
+        average=lambda values: values[keep],
+        keep=keep,
+        full={"w": w, "w_max": np.asarray([float(np.max(np.abs(w)))])},
+        spread=np.ones(int(keep.sum())),
     )
     work.clusters = soaks(temp)
     return work
@@ -107,12 +126,18 @@ def _motion(work: Work, columns: dict[str, FloatArray], w: FloatArray) -> None:
         for k in (1, 2):
             for kind, function in (("cos", np.cos), ("sin", np.sin)):
                 wave = function(k * psi)
-                work.extra[f"{kind}{k}"], work.extra[f"w{kind}{k}"] = work.average(wave), work.average(w * wave)
+                work.extra[f"{kind}{k}"], work.extra[f"w{kind}{k}"] = (
+                    work.average(wave),
+                    work.average(w * wave),
+                )
     accel = columns.get("accel_lat_mps2")
     if accel is None and "speed_mps" in columns:
         accel = columns["speed_mps"] * np.deg2rad(w)
     if accel is not None:
-        work.extra["accel"], work.extra["accel2"] = work.average(accel / GRAVITY), work.average((accel / GRAVITY) ** 2)
+        work.extra["accel"], work.extra["accel2"] = (
+            work.average(accel / GRAVITY),
+            work.average((accel / GRAVITY) ** 2),
+        )
         work.extra["roll_rate"] = np.gradient(low_pass(work.extra["accel"], work.step_s, 0.3), work.step_s)
     if "speed_mps" in columns:
         work.extra["speed"] = work.average(columns["speed_mps"])
@@ -132,11 +157,19 @@ def survey(works: list[Work]) -> Survey:
     has |= {label for key, label in names.items() if all(key in w.extra for w in works)}
     turning = rates[rates > 0.02 * rates.max()] if rates.max() > 0.0 else np.ones(1)
     by_rank = np.quantile(turning, [0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.985, 0.995])
-    knees = np.concatenate([by_rank, rates.max() * np.asarray([0.45, 0.55, 0.62, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95])])
+    knees = np.concatenate(
+        [by_rank, rates.max() * np.asarray([0.45, 0.55, 0.62, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95])]
+    )
     return Survey(
-        duration_s=max(float(w.t[-1] - w.t[0]) for w in works), step_s=max(w.step_s for w in works),
-        temp_low=float(temps.min()), temp_high=float(temps.max()), rate_max=float(rates.max()),
+        duration_s=max(float(w.t[-1] - w.t[0]) for w in works),
+        step_s=max(w.step_s for w in works),
+        temp_low=float(temps.min()),
+        temp_high=float(temps.max()),
+        rate_max=float(rates.max()),
         rate_quantiles=tuple(float(k) for k in np.unique(knees)),
-        start_s=min(float(w.t[0]) for w in works), has=frozenset(has), points=works[0].points,
-        recordings=len(works), rate_noise_dps=max(w.rate_noise_dps for w in works),
+        start_s=min(float(w.t[0]) for w in works),
+        has=frozenset(has),
+        points=works[0].points,
+        recordings=len(works),
+        rate_noise_dps=max(w.rate_noise_dps for w in works),
     )

@@ -79,14 +79,24 @@ def summary(proofs: Sequence[Proof], heldout: bool, seed: int) -> FitResult:
     rng = np.random.default_rng(seed)
     before, after = _rms([p.before for p in proofs]), _rms([p.after for p in proofs])
     gain, interval = _improvement([p.before for p in proofs], [p.after for p in proofs], rng)
-    slow_gain, slow_interval = _improvement([p.slow_before for p in proofs], [p.slow_after for p in proofs], rng)
+    slow_gain, slow_interval = _improvement(
+        [p.slow_before for p in proofs], [p.slow_after for p in proofs], rng
+    )
     slow = {
-        "rms_before_dps": _rms([p.slow_before for p in proofs]), "rms_after_dps": _rms([p.slow_after for p in proofs]),
-        "improvement": slow_gain, "ci95_low": slow_interval[0], "ci95_high": slow_interval[1],
+        "rms_before_dps": _rms([p.slow_before for p in proofs]),
+        "rms_after_dps": _rms([p.slow_after for p in proofs]),
+        "improvement": slow_gain,
+        "ci95_low": slow_interval[0],
+        "ci95_high": slow_interval[1],
     }
     rows = [
-        {"file": p.name, "rms_before_dps": _rms([p.before]), "rms_after_dps": _rms([p.after]),
-         "slow_rms_before_dps": _rms([p.slow_before]), "slow_rms_after_dps": _rms([p.slow_after])}
+        {
+            "file": p.name,
+            "rms_before_dps": _rms([p.before]),
+            "rms_after_dps": _rms([p.after]),
+            "slow_rms_before_dps": _rms([p.slow_before]),
+            "slow_rms_after_dps": _rms([p.slow_after]),
+        }
         for p in proofs
     ]
     return FitResult(before, after, gain, interval, heldout, slow, None, rows)
@@ -96,9 +106,14 @@ def _rms(parts: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def _improvement(before: Sequence[FloatArray], after: Sequence[FloatArray], rng: np.random.Generator) -> tuple[float, tuple[float, float]]:
-    pairs = [(np.add.reduceat(b**2, s), np.add.reduceat(a**2, s)) for b, a in zip(before, after, strict=True)
-             for s in [np.unique(np.linspace(0, len(b), min(SECTIONS, len(b)), endpoint=False).astype(int))]]
+def _improvement(
+    before: Sequence[FloatArray], after: Sequence[FloatArray], rng: np.random.Generator
+) -> tuple[float, tuple[float, float]]:
+    pairs = [
+        (np.add.reduceat(b**2, s), np.add.reduceat(a**2, s))
+        for b, a in zip(before, after, strict=True)
+        for s in [np.unique(np.linspace(0, len(b), min(SECTIONS, len(b)), endpoint=False).astype(int))]
+    ]
     b, a = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
     value = 1.0 - float(np.sqrt(a.sum() / max(b.sum(), 1e-300)))
     picks = rng.integers(0, len(b), (BOOTSTRAP, len(b)))
@@ -118,7 +133,9 @@ def folded(model: Model, intakes: Sequence[Intake], power_on_known: bool) -> lis
             for whole, intake in zip(wholes, intakes, strict=True):
                 n = len(whole)
                 part = slice(fold * n // FOLDS, (fold + 1) * n // FOLDS)
-                whole[part] = predicted(Model(model.parts, model.frame, fitted.fit), intake, power_on_known)[part]
+                whole[part] = predicted(Model(model.parts, model.frame, fitted.fit), intake, power_on_known)[
+                    part
+                ]
     return [prove(intake, whole, power_on_known) for intake, whole in zip(intakes, wholes, strict=True)]
 
 
@@ -133,7 +150,10 @@ def _without_fold(model: Model, fold: int) -> Model | None:
     domains = [domain(_part_of(d.work, rows)) for d, rows in pieces]
     columns = []
     for d, rows in pieces:
-        waves = [np.stack([c for point in part.points for c in part.group.columns(d.work, point)], axis=1) for part in model.parts]
+        waves = [
+            np.stack([c for point in part.points for c in part.group.columns(d.work, point)], axis=1)
+            for part in model.parts
+        ]
         columns.append(np.concatenate(waves, axis=1)[rows])
     if any(np.any(np.ptp(np.concatenate(columns), axis=0) <= 0.0) for _ in (0,)):
         return None
@@ -147,12 +167,20 @@ def _without_fold(model: Model, fold: int) -> Model | None:
 def _part_of(work: Work, rows: np.ndarray) -> Work:
     clusters = None if work.clusters is None else np.unique(work.clusters[rows], return_inverse=True)[1]
     return replace(
-        work, t=work.t[rows], y=work.y[rows], w=work.w[rows], temp=work.temp[rows], spread=work.spread[rows],
-        clusters=clusters, extra={k: v[rows] for k, v in work.extra.items()},
+        work,
+        t=work.t[rows],
+        y=work.y[rows],
+        w=work.w[rows],
+        temp=work.temp[rows],
+        spread=work.spread[rows],
+        clusters=clusters,
+        extra={k: v[rows] for k, v in work.extra.items()},
     )
 
 
-def placebo(model: Model, intakes: Sequence[Intake], proofs: Sequence[Proof], domains: Sequence) -> float | None:  # noqa: ANN401
+def placebo(
+    model: Model, intakes: Sequence[Intake], proofs: Sequence[Proof], domains: Sequence
+) -> float | None:
     """Improvement of block means by the same regressors on a wrong time axis (rolled by half a recording).
 
     The control of the proof: it must be near nothing, or the improvement is not due to the physics.
@@ -161,7 +189,10 @@ def placebo(model: Model, intakes: Sequence[Intake], proofs: Sequence[Proof], do
         return None
     chosen, fake = [], []
     for d in domains:
-        waves = [np.stack([c for point in part.points for c in part.group.columns(d.work, point)], axis=1) for part in model.parts]
+        waves = [
+            np.stack([c for point in part.points for c in part.group.columns(d.work, point)], axis=1)
+            for part in model.parts
+        ]
         rolled = np.roll(np.concatenate(waves, axis=1), len(d.work) // 2, axis=0)
         fake.append(rolled)
         chosen.append(d.work.transform(rolled))

@@ -8,10 +8,10 @@ what the residual shares with the reference there (covariance −σ²) measures 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, interpolate, ndimage
+from scipy import interpolate, ndimage
 
 from training.diagnose.spectrum import band_edges
-from training.diagnose.work import FloatArray
+from training.diagnose.work import FloatArray, dct, inverse_dct
 
 TOP_SHARE = 0.5
 MIN_NOISY = 0.25
@@ -55,11 +55,13 @@ def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> tuple[F
         return moved, 0.0
     design = np.stack([np.ones(len(moved)), moved], axis=1)
     left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
-    spectrum = fft.dct(left, norm="ortho")
+    spectrum = dct(left)
     edges = band_edges(len(left))
     power = np.repeat(np.add.reduceat(spectrum**2, edges[:-1]) / np.diff(edges), np.diff(edges))
     share = np.minimum(ref.noise_dps**2 / np.maximum(power, 1e-300), 1.2)
-    estimate = np.clip(fft.idct(spectrum * share * ref.gain, norm="ortho"), -LARGEST * ref.noise_dps, LARGEST * ref.noise_dps)
+    estimate = np.clip(
+        inverse_dct(spectrum * share * ref.gain), -LARGEST * ref.noise_dps, LARGEST * ref.noise_dps
+    )
     return moved + estimate, ref.left_dps
 
 
@@ -68,8 +70,8 @@ def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
     if np.ptp(ref) == 0.0 or len(ref) < 200:
         return 0.0
     first = int((1.0 - TOP_SHARE) * len(ref))
-    a = fft.dct(ref, norm="ortho")[first:]
-    b = fft.dct(residual, norm="ortho")[first:]
+    a = dct(ref)[first:]
+    b = dct(residual)[first:]
     variance = float(np.mean(a * a))
     shared = -float(np.mean(a * b))
     sigma = np.sqrt(variance * float(np.mean(b * b)) / len(a))
@@ -79,8 +81,8 @@ def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
 def _wiener(ref: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
     """(smoothed reference, gain of the filter per DCT coefficient)."""
     line = np.linspace(ref[0], ref[-1], len(ref))
-    spectrum = fft.dct(ref - line, norm="ortho")
+    spectrum = dct(ref - line)
     width = max(5, len(ref) // 2000)
     power = ndimage.uniform_filter1d(spectrum**2, width, mode="nearest")
     gain = np.clip(1.0 - 1.5 * noise / np.maximum(power, 1e-300), 0.0, 1.0)
-    return line + fft.idct(spectrum * gain, norm="ortho"), gain
+    return line + inverse_dct(spectrum * gain), gain

@@ -1,103 +1,55 @@
-"""From the chosen parts to numbers: coefficients and non-linear parameters with joint 95 % intervals, size, place."""
+"""From the chosen parts to what is told of them: parameters, waveform, size, and where it is felt."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage
 
-from training.diagnose.design import Domain
 from training.diagnose.document import Parameter, Regime, Where
 from training.diagnose.generic import VALUES, temperature_rate
-from training.diagnose.library import Parameters
-from training.diagnose.naming import Model, Part, part_columns
+from training.diagnose.intervals import Estimates
+from training.diagnose.naming import Model, Part
 from training.diagnose.work import FloatArray, Work
 
-STEP = 0.02
 SHAPE_KEYS = {"order", "with_bias", "with_static", "shape", "recording"}
-UNITS = {"tau_s": "s", "play_K": "K", "period_K": "K", "chirp_per_K": "1/K", "lock_dps": "dps", "limit_dps": "dps",
-         "phase_K": "K", "at_share": "1", "tau2_s": "s", "t0_s": "s"}
+UNITS = {
+    "tau_s": "s",
+    "play_K": "K",
+    "period_K": "K",
+    "chirp_per_K": "1/K",
+    "lock_dps": "dps",
+    "limit_dps": "dps",
+    "phase_K": "K",
+    "at_share": "1",
+    "tau2_s": "s",
+    "t0_s": "s",
+}
 ACTIVE = 0.3
-
-
-@dataclass
-class Estimates:
-    """Joint estimates: names, values and covariance over all linear and non-linear parameters of the model."""
-
-    names: list[tuple[int, int, str]]
-    values: FloatArray
-    covariance: FloatArray
-    dof: float
-
-    def interval(self, index: int) -> tuple[float, float]:
-        """95 % interval of one parameter."""
-        half = float(stats.t.ppf(0.975, self.dof)) * float(np.sqrt(max(self.covariance[index, index], 0.0)))
-        return float(self.values[index] - half), float(self.values[index] + half)
-
-
-def estimates(model: Model, domains: Sequence[Domain]) -> Estimates:
-    """Gauss-Newton covariance: linear columns and the derivatives of the fit by every non-linear parameter."""
-    names, values, derivatives = [], list(model.fit.beta), []
-    for i, part in enumerate(model.parts):
-        names += [(i, j, name) for j, point in enumerate(part.points) for name, _ in part.group.linear(point)]
-    for i, (part, where) in enumerate(zip(model.parts, model.slices(), strict=True)):
-        for j, point in enumerate(part.points):
-            for name in part.group.continuous:
-                if name in point and np.isfinite(point[name]):
-                    names.append((i, j, name))
-                    values.append(point[name])
-                    derivatives.append(_derivative(part, j, name, model.fit.beta[where], domains))
-    information = _information(model, domains, derivatives)
-    covariance = np.linalg.pinv(information, hermitian=True)
-    clusters = sum(len(d.edges) - 1 for d in domains) if domains[0].work.points else 60.0
-    if domains[0].work.points:
-        clusters = max(float(np.diff(domains[0].edges)[0]) - 1.0, 2.0)
-    return Estimates(names, np.asarray(values), covariance, float(clusters))
-
-
-def _derivative(part: Part, j: int, name: str, beta: FloatArray, domains: Sequence[Domain]) -> list[FloatArray]:
-    delta = 0.0005 if name == "chirp_per_K" else STEP * part.points[j][name]
-    if name == "period_K":
-        delta = 0.003 * part.points[j][name]
-    sides = []
-    for sign in (1.0, -1.0):
-        points: list[Parameters] = [dict(p) for p in part.points]
-        points[j][name] += sign * delta
-        sides.append([part_columns(Part(part.group, points), d) @ beta for d in domains])
-    return [(up - down) / (2.0 * delta) for up, down in zip(*sides, strict=True)]
-
-
-def _information(model: Model, domains: Sequence[Domain], derivatives: list[list[FloatArray]]) -> FloatArray:
-    """Information matrix over [linear | non-linear], nuisances projected out, under the fitted noise."""
-    total = None
-    cuts = np.cumsum([len(d.edges) - 1 for d in domains])[:-1]
-    for r, (d, spectrum) in enumerate(zip(domains, np.split(model.fit.spectrum, cuts), strict=True)):
-        columns = np.concatenate([model.frame.chosen[r], *[dv[r][:, None] for dv in derivatives]], axis=1)
-        weight = 1.0 / np.sqrt(np.repeat(spectrum, np.diff(d.edges)))[:, None]
-        nuisance, _ = np.linalg.qr(d.nuisance * weight)
-        white = columns * weight
-        white = white - nuisance @ (nuisance.T @ white)
-        part = white.T @ white
-        total = part if total is None else total + part
-    assert total is not None  # noqa: S101
-    return total
 
 
 def parameters_of(part_index: int, model: Model, estimate: Estimates) -> dict[str, Parameter]:
     """Named parameters of one part; further points of the same shape get _2, _3 behind the name."""
     found: dict[str, Parameter] = {}
-    units = {name: unit for point in model.parts[part_index].points for name, unit in model.parts[part_index].group.linear(point)}
+    units = {
+        name: unit
+        for point in model.parts[part_index].points
+        for name, unit in model.parts[part_index].group.linear(point)
+    }
     for index, (i, j, name) in enumerate(estimate.names):
         if i == part_index:
             key = name if j == 0 else f"{name}_{j + 1}"
-            found[key] = Parameter(float(estimate.values[index]), units.get(name, UNITS.get(name, "1")), estimate.interval(index))
+            found[key] = Parameter(
+                float(estimate.values[index]), units.get(name, UNITS.get(name, "1")), estimate.interval(index)
+            )
     part = model.parts[part_index]
     for point in part.points:
         if "at_share" in point:
             work = model.frame.domains[int(point["recording"])].work
             at = float(work.t[min(int(point["at_share"] * len(work)), len(work) - 1)])
             found["t0_s"] = Parameter(at, "s", (at - 2.0 * work.step_s, at + 2.0 * work.step_s))
-        fixed = [k for k in point if k not in SHAPE_KEYS and k not in found and k in UNITS and k != "at_share"]
+        fixed = [
+            k for k in point if k not in SHAPE_KEYS and k not in found and k in UNITS and k != "at_share"
+        ]
         for key in fixed:
             found[key] = Parameter(float(point[key]), UNITS[key], (float(point[key]), float(point[key])))
     return found
@@ -133,13 +85,18 @@ def _segments(active: np.ndarray, work: Work) -> list[tuple[float, float]]:
     closed = ndimage.binary_closing(np.pad(active, gap), np.ones(gap, bool))[gap:-gap]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], closed.astype(np.int8), [0]])))
     last = len(active) - 1
-    return [(float(work.t[a]), float(work.t[min(b - 1, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [
+        (float(work.t[a]), float(work.t[min(b - 1, last)]))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 def driver_values(driver: str, work: Work) -> FloatArray | None:
     """The driver along one recording, where it has it."""
     if driver in ("heading", "rate_times_heading"):
-        return np.rad2deg(np.arctan2(work.extra["sin1"], work.extra["cos1"])) if "cos1" in work.extra else None
+        return (
+            np.rad2deg(np.arctan2(work.extra["sin1"], work.extra["cos1"])) if "cos1" in work.extra else None
+        )
     if driver == "temperature_rate":
         return temperature_rate(work)
     if driver in ("time_since_power_on", "time", "rate_times_time"):
@@ -166,4 +123,6 @@ def _regimes(waves: Sequence[FloatArray], works: Sequence[Work], driver: str) ->
     level = np.sqrt(np.bincount(place, weights=power, minlength=24) / np.maximum(count, 1))
     active = (level > 0.5 * level[count > 20].max(initial=level.max())) & (count > 0)
     marks = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
-    return [Regime(driver, float(edges[a]), float(edges[b])) for a, b in zip(marks[::2], marks[1::2], strict=True)]
+    return [
+        Regime(driver, float(edges[a]), float(edges[b])) for a, b in zip(marks[::2], marks[1::2], strict=True)
+    ]

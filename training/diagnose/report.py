@@ -11,8 +11,12 @@ from training.effects.catalogue import catalogue
 
 TEMPLATE = Path(__file__).parent / "report.html.j2"
 VERDICT_WORDS: Mapping[str, str] = {
-    "named": "Named", "ambiguous": "Ambiguous: a class of effects", "unknown": "Unknown physics",
-    "nothing_missing": "Nothing is missing", "not_excited": "Not excited", "bad_recording": "Bad recording",
+    "named": "Named",
+    "ambiguous": "Ambiguous: a class of effects",
+    "unknown": "Unknown physics",
+    "nothing_missing": "Nothing is missing",
+    "not_excited": "Not excited",
+    "bad_recording": "Bad recording",
 }
 
 
@@ -30,12 +34,18 @@ def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
     """Render the report of one diagnosis."""
     import jinja2
 
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters |= {"number": number, "probability": probability}
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
-        d=diagnosis, verdict=VERDICT_WORDS[diagnosis.verdict], regimes=pictures.regime_text(diagnosis.findings),
-        catalogue=catalogue(), pictures=_pictures(analysis, diagnosis), simulation=analysis.simulation.kind,
+        d=diagnosis,
+        verdict=VERDICT_WORDS[diagnosis.verdict],
+        regimes=pictures.regime_text(diagnosis.findings),
+        catalogue=catalogue(),
+        pictures=_pictures(analysis, diagnosis),
+        simulation=analysis.simulation.kind,
         step_s=analysis.intakes[0].work.step_s if analysis.intakes else None,
     )
 

@@ -32,7 +32,9 @@ def save_rerun(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
         from rtcomp.view import files  # type: ignore[attr-defined]
 
         if hasattr(files, "save_diagnosis"):  # the one call site of the viewer
-            files.save_diagnosis(path, series(analysis), diagnosis.sentence, [f.text for f in diagnosis.findings])
+            files.save_diagnosis(
+                path, series(analysis), diagnosis.sentence, [f.text for f in diagnosis.findings]
+            )
             return
     _save(analysis, diagnosis, path)
 
@@ -44,8 +46,12 @@ def _save(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     stream.save(str(path))
     stream.log("verdict", rr.TextDocument(diagnosis.sentence), static=True)
     lines = [f"- **{f.effect}** ({f.status}): {f.text}, {f.rms_dps:.3g} °/s rms" for f in diagnosis.findings]
-    stream.log("findings", rr.TextDocument("\n".join(lines) or "none", media_type="text/markdown"), static=True)
+    stream.log(
+        "findings", rr.TextDocument("\n".join(lines) or "none", media_type="text/markdown"), static=True
+    )
     for name, (t, values) in series(analysis).items():
-        stream.send_columns(name, [rr.TimeColumn("t", duration=t)], columns=rr.Scalars.columns(scalars=values))
+        stream.send_columns(
+            name, [rr.TimeColumn("t", duration=t)], columns=rr.Scalars.columns(scalars=values)
+        )
     stream.flush()
     stream.disconnect()

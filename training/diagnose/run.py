@@ -18,9 +18,15 @@ from training.table import Recording, read_recording
 
 
 def run_diagnose(
-    recordings: Sequence[Path], out: Path, heldout: Sequence[Path] = (), simulation: Path | None = None,
-    settings: Settings | None = None, columns: Mapping[str, str] | None = None, dbc: Path | None = None,
-    signal_map: str | None = None, progress: Progress = lambda stage: None,
+    recordings: Sequence[Path],
+    out: Path,
+    heldout: Sequence[Path] = (),
+    simulation: Path | None = None,
+    settings: Settings | None = None,
+    columns: Mapping[str, str] | None = None,
+    dbc: Path | None = None,
+    signal_map: str | None = None,
+    progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Diagnose recordings and write diagnosis.json, report.html, extended.json, diagnosis.rrd and heldout/*.csv.
 
@@ -44,7 +50,9 @@ def run_diagnose(
 def _distinct(tables: Sequence[Recording]) -> None:
     hashes = [t.sha256 for t in tables if t.sha256]
     if len(set(hashes)) < len(hashes):
-        raise RequestError("the same recording was given twice (as fit and held out, or twice); give each file once")
+        raise RequestError(
+            "the same recording was given twice (as fit and held out, or twice); give each file once"
+        )
 
 
 def write_all(analysis: Analysis, diagnosis: Diagnosis, out: Path) -> None:
@@ -55,7 +63,9 @@ def write_all(analysis: Analysis, diagnosis: Diagnosis, out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RequestError(f"cannot make folder {out}: {error.strerror}; give a folder that can be written to") from error
+        raise RequestError(
+            f"cannot make folder {out}: {error.strerror}; give a folder that can be written to"
+        ) from error
     write_text(out / "diagnosis.json", to_json(diagnosis) + "\n")
     save_extended(analysis, diagnosis, out / "extended.json")
     write_heldout(analysis, out)
@@ -70,7 +80,9 @@ def write_heldout(analysis: Analysis, out: Path) -> None:
     folder = out / "heldout"
     folder.mkdir(exist_ok=True)
     for intake, proof in zip(analysis.heldout, analysis.proofs, strict=True):
-        write_text(folder / f"{intake.recording.name}.csv", _csv(intake.checked.columns.get("t_s"), proof.prediction))
+        write_text(
+            folder / f"{intake.recording.name}.csv", _csv(intake.checked.columns.get("t_s"), proof.prediction)
+        )
 
 
 def _csv(t: np.ndarray | None, correction: np.ndarray) -> str:
@@ -78,5 +90,7 @@ def _csv(t: np.ndarray | None, correction: np.ndarray) -> str:
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(["t_s", "correction_dps"])
     times = np.arange(len(correction), dtype=float) if t is None else t
-    writer.writerows([f"{a:.9g}" if t is None else f"{a:.6f}", f"{b:.9g}"] for a, b in zip(times, correction, strict=True))
+    writer.writerows(
+        [f"{a:.9g}" if t is None else f"{a:.6f}", f"{b:.9g}"] for a, b in zip(times, correction, strict=True)
+    )
     return buffer.getvalue()

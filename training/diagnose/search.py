@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.diagnose.design import Domain, Fit, Frame, Library, Variant
+from training.diagnose.library import Parameters
 from training.diagnose.steps import Stepper, steppers
 from training.diagnose.work import FloatArray
 
 SURROGATES = 48
 EXTRA_COLUMN = 3.0
+STATIC_PRICE = 8.0
 EULER = 0.5772156649
 
 
@@ -44,11 +46,20 @@ class Candidate:
     excess: float = field(default=0.0)
 
 
+def price(parameters: Parameters, width: int) -> float:
+    """What a variant must pay for its columns.
+
+    A loop with its static slope also pays for the search over the loop's width: where only the slope is there, some
+    width always fits a little of the noise.
+    """
+    return EXTRA_COLUMN * width + STATIC_PRICE * parameters.get("with_static", 0.0)
+
+
 def statistics(library: Library, gains: FloatArray) -> dict[str, Candidate]:
-    """Best variant per group by 2 Δ log-likelihood, a further column costing `EXTRA_COLUMN`."""
+    """Best variant per group by 2 Δ log-likelihood less the price of its further columns."""
     best: dict[str, Candidate] = {}
     for index, (variant, gain) in enumerate(zip(library.variants, gains, strict=True)):
-        value = float(gain) - EXTRA_COLUMN * (variant.width - 1)
+        value = float(gain) - price(variant.parameters, variant.width) + EXTRA_COLUMN
         effect = variant.group.effect
         if effect not in best or value > best[effect].statistic:
             best[effect] = Candidate(variant, index, value)
@@ -78,12 +89,20 @@ def scan(library: Library, frame: Frame, fit: Fit, null: Null | None) -> dict[st
 
 
 def surrogate_null(
-    library: Library, domains: Sequence[Domain], fit: Fit, seed: int, inflate: float = 1.0, count: int = SURROGATES
+    library: Library,
+    domains: Sequence[Domain],
+    fit: Fit,
+    seed: int,
+    inflate: float = 1.0,
+    count: int = SURROGATES,
 ) -> Null:
     """Scan `count` recordings of pure noise drawn from the fitted spectra, end to end."""
     rng = np.random.default_rng(seed)
     frame = Frame(domains)
-    targets = [_noise(rng, d, s, count) for d, s in zip(domains, _split(fit.spectrum * inflate, domains), strict=True)]
+    targets = [
+        _noise(rng, d, s, count)
+        for d, s in zip(domains, _split(fit.spectrum * inflate, domains), strict=True)
+    ]
     frame.targets = targets
     cross = library.cross(frame.base)
     projected = library.cross(targets)
@@ -91,7 +110,9 @@ def surrogate_null(
     table = []
     for column in range(count):
         null_fit = frame.fit(frame.grams(column), fit.weights)
-        gains = 2.0 * (library.scan(frame, null_fit, column, cross, projected[:, :, column]) - null_fit.loglik)
+        gains = 2.0 * (
+            library.scan(frame, null_fit, column, cross, projected[:, :, column]) - null_fit.loglik
+        )
         best = statistics(library, gains) | change_points(searches, frame, null_fit, column)
         table.append({effect: c.statistic for effect, c in best.items()})
     mean = {effect: float(np.mean([row[effect] for row in table])) for effect in table[0]}

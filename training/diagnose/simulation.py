@@ -20,7 +20,9 @@ class Simulation:
     model: Any = None
     noise: Mapping[str, float] | None = None
 
-    def rate(self, name: str, columns: dict[str, FloatArray], static: bool, power_on_known: bool) -> FloatArray:
+    def rate(
+        self, name: str, columns: dict[str, FloatArray], static: bool, power_on_known: bool
+    ) -> FloatArray:
         """Simulated measured rate [dps] for a recording's drivers, shape `(n,)`."""
         if self.kind == "scenario":
             return self._scenario_rate(name, columns, static)
@@ -29,9 +31,16 @@ class Simulation:
 
             temp = columns.get("temp_degC")
             if temp is None:
-                raise RequestError(f"{name}: the model needs temp_degC, which the recording lacks; add the column")
+                raise RequestError(
+                    f"{name}: the model needs temp_degC, which the recording lacks; add the column"
+                )
             error = predict(
-                self.model, columns["rate_dps"], temp, columns.get("t_s"), columns.get("coil_temp_degC"), power_on_known
+                self.model,
+                columns["rate_dps"],
+                temp,
+                columns.get("t_s"),
+                columns.get("coil_temp_degC"),
+                power_on_known,
             ).error_dps
             return columns["ref_rate_dps"] + error
         if self.kind == "column":
@@ -42,7 +51,9 @@ class Simulation:
         from training.simulator.on_recording import simulated_rate
         from training.table import Recording
 
-        return simulated_rate(self.scenario, Recording(name, cast("dict[str, np.ndarray]", columns)), static=static)
+        return simulated_rate(
+            self.scenario, Recording(name, cast("dict[str, np.ndarray]", columns)), static=static
+        )
 
 
 def choose_simulation(source: Path | None, columns: list[dict[str, FloatArray]]) -> Simulation:
@@ -50,14 +61,16 @@ def choose_simulation(source: Path | None, columns: list[dict[str, FloatArray]])
     if source is None:
         have = ["sim_rate_dps" in c for c in columns]
         if any(have) and not all(have):
-            raise RequestError("only some recordings have sim_rate_dps; give it to all of them or use --simulation")
+            raise RequestError(
+                "only some recordings have sim_rate_dps; give it to all of them or use --simulation"
+            )
         return Simulation("column" if all(have) else "ideal")
     if source.suffix == ".toml" or not source.suffix:
         from training.simulator.scenario import load_scenario
 
         scenario = load_scenario(source)
         noise = getattr(scenario.gyro, "noise", None)
-        values = noise.values() if hasattr(noise, "values") else None
+        values = None if noise is None or isinstance(noise, str) else noise.values()
         return Simulation("scenario", scenario=scenario, noise=values)
     from rtcomp.model import load_model
 

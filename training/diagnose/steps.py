@@ -9,15 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
 from training.diagnose.design import Domain, Fit, Frame
 from training.diagnose.library import Group, Parameters
-from training.diagnose.work import FloatArray
+from training.diagnose.work import FloatArray, inverse_dct
 
 GRID = 24
 EDGE = 0.015
-FAINT = 0.01  # a step with less of the best one's norm stands where nothing moves: offset or scale factor again
+FAINT = (
+    0.01  # a step with less of the best one's norm stands where nothing moves: offset or scale factor again
+)
 
 
 @dataclass
@@ -34,7 +35,10 @@ class Stepper:
 
     def _grid(self, i: int) -> FloatArray:
         d = self.domains[i]
-        columns = [self.group.columns(d.work, {"at_share": float(s), "recording": float(d.work.index)})[0] for s in self.shares]
+        columns = [
+            self.group.columns(d.work, {"at_share": float(s), "recording": float(d.work.index)})[0]
+            for s in self.shares
+        ]
         return d.work.transform(np.stack(columns, axis=1))
 
     def best(self, frame: Frame, fit: Fit, column: int) -> tuple[Parameters, float] | None:
@@ -50,7 +54,10 @@ class Stepper:
             power[:edge] = power[len(power) - edge :] = 0.0
             at = int(np.argmax(power))
             if top is None or power[at] > top[0]:
-                top = (float(power[at]), {"at_share": (at + 1e-6) / len(power), "recording": float(d.work.index)})
+                top = (
+                    float(power[at]),
+                    {"at_share": (at + 1e-6) / len(power), "recording": float(d.work.index)},
+                )
         if top is None:
             return None
         extra = [d.work.transform(np.stack(self.group.columns(d.work, top[1]), axis=1)) for d in self.domains]
@@ -68,7 +75,7 @@ class Stepper:
     def _power(self, i: int, left: FloatArray, spectrum: FloatArray) -> FloatArray:
         """(matched filter)²/norm of a step at every sample."""
         d = self.domains[i]
-        back = fft.idct(left / spectrum, norm="ortho") / d.work.spread
+        back = inverse_dct(left / spectrum) / d.work.spread
         shape = self.group.columns(d.work, {"at_share": 0.0, "recording": float(d.work.index)})[0]
         matched = np.cumsum((back * shape)[::-1])[::-1]
         norm = np.interp((np.arange(len(left)) + 0.5) / len(left), self.shares, self._norms(i, spectrum))

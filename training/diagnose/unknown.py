@@ -8,21 +8,41 @@ import numpy as np
 from training.diagnose.design import Domain, Library
 from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
-from training.diagnose.naming import ALPHA, EXTRA_COLUMN, Model, Part, build, partial_chi2, residual_scan, score
-from training.diagnose.search import Null, surrogate_null
+from training.diagnose.naming import (
+    ALPHA,
+    Model,
+    Part,
+    build,
+    partial_chi2,
+    residual_scan,
+    score,
+)
+from training.diagnose.search import EXTRA_COLUMN, Null, surrogate_null
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
 REMAINDER_ALPHA = 1e-3
-STANDS = 0.9
+MUST_ADD = (
+    0.3  # share of the remainder that the function must explain beyond what the name does, or the name stands
+)
 SEVERAL_STAND = 0.97  # one smooth function in the place of several names: simpler, if it explains as much
 TURNING = frozenset({"magnetic", "table_eccentricity"})
-TIME_WEIGHT = 0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
+TIME_WEIGHT = (
+    0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
+)
 TIME_LIKE = frozenset({"time", "rate_times_time", "time_since_power_on"})
-TIME_ALPHA = 1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
-RATE_DRIVERS = frozenset({
-    "rate", "rate_times_temperature", "rate_times_temperature_rate", "rate_times_time", "rate_times_heading",
-})
+TIME_ALPHA = (
+    1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
+)
+RATE_DRIVERS = frozenset(
+    {
+        "rate",
+        "rate_times_temperature",
+        "rate_times_temperature_rate",
+        "rate_times_time",
+        "rate_times_heading",
+    }
+)
 
 
 @dataclass
@@ -64,15 +84,27 @@ def unexplained(
     the name explains: the name is withdrawn.  Less: a remainder.
     """
     for scale_like in (False, True):
-        several = [i for i, p in enumerate(model.parts) if _scale_like(p.group) == scale_like and p.group.effect not in TURNING]
+        several = [
+            i
+            for i, p in enumerate(model.parts)
+            if _scale_like(p.group) == scale_like and p.group.effect not in TURNING
+        ]
         if sum(len(model.parts[i].points) for i in several) > 1:
             withdrawn = _withdrawn(generic, domains, model, null, several, SEVERAL_STAND)
-            if withdrawn is not None and withdrawn[1] is not None and _related(model.parts[several[0]].group, withdrawn[1].driver):
+            if (
+                withdrawn is not None
+                and withdrawn[1] is not None
+                and _related(model.parts[several[0]].group, withdrawn[1].driver)
+            ):
                 return withdrawn
     found = residual_scan(generic, model, null)
     if not found:
         return model, None
-    strict = {d: c for d, c in found.items() if null.p_value(c.excess) < (TIME_ALPHA if d in TIME_LIKE else REMAINDER_ALPHA)}
+    strict = {
+        d: c
+        for d, c in found.items()
+        if null.p_value(c.excess) < (TIME_ALPHA if d in TIME_LIKE else REMAINDER_ALPHA)
+    }
     if not strict:
         return model, None
     driver, top = max(strict.items(), key=lambda item: item[1].excess)
@@ -86,14 +118,20 @@ def unexplained(
     related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
     strongest = max((model.parts[i].chi2 for i in related), default=0.0)
     if related and strength > WITHDRAW_SHARE * strongest:
-        withdrawn = _withdrawn(generic, domains, model, null, related)
+        withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
         if withdrawn is not None:
             return withdrawn
     return model, Unknown(driver, part, p_value, strength, [], named=False)
 
 
 def _withdrawn(
-    generic: Library, domains: Sequence[Domain], model: Model, null: Null, related: list[int], stands: float = STANDS
+    generic: Library,
+    domains: Sequence[Domain],
+    model: Model,
+    null: Null,
+    related: list[int],
+    stands: float = 1.0,
+    more: float = 0.0,
 ) -> tuple[Model, Unknown | None] | None:
     """Take the related names back and let a smooth function of the best driver stand in their place.
 
@@ -107,7 +145,7 @@ def _withdrawn(
     joint = build([*kept.parts, part], domains, kept.fit.weights)
     searched = sum(len(model.parts[i].group.continuous) * len(model.parts[i].points) for i in related)
     named_gain = score(model) - score(kept) - EXTRA_COLUMN * searched
-    if part.p_value > ALPHA or score(joint) - score(kept) < stands * named_gain:
+    if part.p_value > ALPHA or score(joint) - score(kept) < stands * named_gain + more:
         return None
     names = [model.parts[i].effect for i in related]
     return kept, Unknown(driver, part, part.p_value, partial_chi2(joint)[-1], names, named=True)

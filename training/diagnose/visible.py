@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from training.diagnose.design import Domain, Library
 from training.diagnose.document import NotExcited
-from training.diagnose.library import GROUPS, Survey
+from training.diagnose.groups import GROUPS
+from training.diagnose.library import Survey
 from training.diagnose.naming import ALPHA, Model
 from training.diagnose.search import Null
 from training.diagnose.work import FloatArray
@@ -35,7 +36,9 @@ def visible_from(library: Library, domains: Sequence[Domain], model: Model, null
     return {name: float(np.median(values)) for name, values in found.items()}
 
 
-def _norms(library: Library, domains: Sequence[Domain], model: Model, rows: list[int]) -> tuple[FloatArray, FloatArray]:
+def _norms(
+    library: Library, domains: Sequence[Domain], model: Model, rows: list[int]
+) -> tuple[FloatArray, FloatArray]:
     """(RMS of columns without offset and scale, their whitened norms) pooled over recordings."""
     power, white, count = np.zeros(len(rows)), np.zeros(len(rows)), 0
     cuts = np.cumsum([len(d.edges) - 1 for d in domains])[:-1]

@@ -17,6 +17,16 @@ from training.diagnose.spectrum import band_edges, band_frequencies, shapes
 FloatArray = NDArray[np.float64]
 
 
+def dct(values: FloatArray) -> FloatArray:
+    """Orthonormal DCT-II down the first axis."""
+    return np.asarray(fft.dct(values, type=2, axis=0, norm="ortho"))
+
+
+def inverse_dct(values: FloatArray) -> FloatArray:
+    """Inverse of `dct`."""
+    return np.asarray(fft.idct(values, type=2, axis=0, norm="ortho"))
+
+
 @dataclass
 class Work:
     """One recording ready for regression; arrays have shape `(n,)`, one value per block or soaked point.
@@ -54,7 +64,7 @@ class Work:
         weighted = columns / self.spread.reshape(-1, 1)
         if self.points:
             return _soak_rotation(weighted, self.w, self._labels())
-        return fft.dct(weighted, type=2, axis=0, norm="ortho")
+        return dct(weighted)
 
     def _labels(self) -> NDArray[np.int64]:
         return self.clusters if self.clusters is not None else np.zeros(len(self), dtype=np.int64)
@@ -91,7 +101,9 @@ def _soak_rotation(columns: FloatArray, w: FloatArray, labels: NDArray[np.int64]
     return np.concatenate([np.stack(scale_rows), np.stack(bias_rows), *rest])
 
 
-def block_average(labels: NDArray[np.int64], valid: NDArray[np.bool_], blocks: int) -> Callable[[FloatArray], FloatArray]:
+def block_average(
+    labels: NDArray[np.int64], valid: NDArray[np.bool_], blocks: int
+) -> Callable[[FloatArray], FloatArray]:
     """A function giving the mean over the valid samples of every block (`labels` (n_full,) are block numbers)."""
     keep = np.flatnonzero(valid)
     kept = labels[keep]

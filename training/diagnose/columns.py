@@ -1,0 +1,261 @@
+"""How each effect becomes columns of a linear model [dps per unit coefficient], and the grids of what is not linear.
+
+Equations and sources are in the effect catalogue (`training.effects`).  Rate-multiplied effects carry 1e-6 so that
+their coefficients are ppm.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from training.diagnose.library import (
+    CLEAR_OF_NOISE,
+    PPM,
+    ROOM_DEGC,
+    FloatArray,
+    Parameters,
+    Survey,
+    low_pass,
+    play,
+)
+from training.diagnose.work import Work
+
+
+def temperature_slope(work: Work) -> FloatArray:
+    """dT/dt [K/s] of the smoothed temperature."""
+    return np.gradient(work.temp, work.step_s)
+
+
+def above_room(work: Work) -> FloatArray:
+    """h = T − 25 °C [K]."""
+    return work.temp - ROOM_DEGC
+
+
+def tau_grid(low: float, high: float, count: int) -> Callable[[Survey], list[Parameters]]:
+    """A grid of time constants, clipped to what the recordings can tell."""
+
+    def grid(survey: Survey) -> list[Parameters]:
+        top = min(high, survey.duration_s / 4.0)  # longer lags are copies of the temperature itself
+        bottom = max(low, 3.0 * survey.step_s)
+        return [{"tau_s": float(tau)} for tau in np.geomspace(low, high, count) if bottom <= tau <= top]
+
+    return grid
+
+
+def order_grid(top: int) -> Callable[[Survey], list[Parameters]]:
+    """Polynomial orders 1…top."""
+    return lambda survey: [{"order": float(k)} for k in range(1, top + 1)]
+
+
+def no_grid(survey: Survey) -> list[Parameters]:
+    """The grid of an effect without non-linear parameters."""
+    return [{}]
+
+
+def powers(base: FloatArray, order: float, unit: float) -> list[FloatArray]:
+    """unit·base, unit·base², …"""
+    return [unit * base**k for k in range(1, int(order) + 1)]
+
+
+def shupe_columns(work: Work, p: Parameters) -> list[FloatArray]:
+    """LP_τ(dT/dt) and its rate of change."""
+    lagged = low_pass(work.temp, work.step_s, p["tau_s"])
+    first = (work.temp - lagged) / p["tau_s"]
+    second = (temperature_slope(work) - first) / p["tau_s"]
+    return [first, second] if p.get("order", 2.0) > 1.5 else [first]
+
+
+def shupe_grid(survey: Survey) -> list[Parameters]:
+    """Time constants with one or both columns."""
+    taus = tau_grid(10.0, 500.0, 11)(survey)
+    return [{**tau, "order": order} for order in (1.0, 2.0) for tau in taus]
+
+
+def lag_difference(work: Work, p: Parameters) -> FloatArray:
+    """LP_τ(T) − T [K], two poles with tau2_s."""
+    lagged = low_pass(work.temp, work.step_s, p["tau_s"])
+    if p.get("tau2_s", 0.0) > 0.0:
+        lagged = low_pass(lagged, work.step_s, p["tau2_s"])
+    return lagged - work.temp
+
+
+def thermal_lag(work: Work, p: Parameters) -> list[FloatArray]:
+    """Rate times the lag difference, and the difference itself on request."""
+    difference = lag_difference(work, p)
+    columns = [PPM * work.w * difference]
+    return [*columns, difference] if p.get("with_bias", 0.0) else columns
+
+
+def lag_grid(survey: Survey) -> list[Parameters]:
+    """Time constants, with and without a part in the bias."""
+    return [{**tau, "with_bias": b} for b in (0.0, 1.0) for tau in tau_grid(50.0, 900.0, 11)(survey)]
+
+
+def play_grid(survey: Survey) -> list[Parameters]:
+    """Half-widths of the play [K] that the temperature range can show."""
+    span = survey.temp_high - survey.temp_low
+    return [
+        {"play_K": r}
+        for r in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.0, 15.0)
+        if r < 0.4 * span
+    ]
+
+
+def loop_grid(survey: Survey) -> list[Parameters]:
+    """Half-widths with and without a static slope."""
+    return [{**width, "with_static": s} for s in (0.0, 1.0) for width in play_grid(survey)]
+
+
+def loop_columns(work: Work, p: Parameters) -> list[FloatArray]:
+    """The loop p − T and, on request, the part of it that every real hysteresis has in common with a line."""
+    loop = play(work.temp, p["play_K"]) - work.temp
+    return [loop, above_room(work)] if p.get("with_static", 0.0) else [loop]
+
+
+def scale_rate(work: Work, p: Parameters) -> list[FloatArray]:
+    """Rate times LP_τ(dT/dt)."""
+    lagged = low_pass(work.temp, work.step_s, p["tau_s"])
+    return [PPM * work.w * (work.temp - lagged) / p["tau_s"]]
+
+
+def nonlinearity_grid(survey: Survey) -> list[Parameters]:
+    """Which of the cubic, quintic and cubic-times-temperature columns."""
+    return [{"order": k} for k in (1.0, 2.0, 3.0, 4.0)]
+
+
+def nonlinearity(work: Work, p: Parameters) -> list[FloatArray]:
+    """ω³, ω⁵, hω³ as the order says."""
+    top = work.full["w_max"][0]
+    cubic = work.per_block(lambda w: w * w * w)
+    quintic = work.per_block(lambda w: (w / top) ** 5) * top**5
+    kinds = {
+        1: [cubic],
+        2: [cubic, quintic],
+        3: [cubic, above_room(work) * cubic],
+        4: [cubic, quintic, above_room(work) * cubic],
+    }
+    return kinds[int(p["order"])]
+
+
+def nonlinearity_names(p: Parameters) -> list[tuple[str, str]]:
+    """Coefficients of those columns."""
+    c3, c5, c3h = (
+        ("c3_per_dps2", "1/dps^2"),
+        ("c5_per_dps4", "1/dps^4"),
+        ("c3h_per_dps2_per_K", "1/(dps^2 K)"),
+    )
+    return {1: [c3], 2: [c3, c5], 3: [c3, c3h], 4: [c3, c5, c3h]}[int(p["order"])]
+
+
+DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
+    0: lambda w, w0: -np.sign(w) * (np.abs(w) - np.sqrt(np.maximum(0.0, w * w - w0 * w0))),
+    1: lambda w, w0: -w * (np.abs(w) < w0),
+    2: lambda w, w0: -np.clip(w, -w0, w0),
+}
+
+
+def dead_grid(survey: Survey) -> list[Parameters]:
+    """Widths clear of the reference noise, times three shapes."""
+    low, high = (
+        max(1e-3, 2e-5 * survey.rate_max, CLEAR_OF_NOISE * survey.rate_noise_dps),
+        min(3.0, 0.1 * survey.rate_max),
+    )
+    widths = np.geomspace(low, high, 28) if low < 0.5 * high else []
+    return [{"lock_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
+
+
+def dead_band(work: Work, p: Parameters) -> list[FloatArray]:
+    """What a dead band of that width and shape takes away."""
+    shape = DEAD_SHAPES[int(p["shape"])]
+    return [work.per_block(lambda w: shape(w, p["lock_dps"]))]
+
+
+def knee_grid(survey: Survey) -> list[Parameters]:
+    """Knees clear of the highest rate."""
+    top = survey.rate_max * (1.0 - 1e-4) - CLEAR_OF_NOISE * survey.rate_noise_dps
+    return [{"limit_dps": knee} for knee in survey.rate_quantiles if knee < top]
+
+
+def beyond_knee(work: Work, p: Parameters) -> list[FloatArray]:
+    """What lies beyond the knee, taken away."""
+    knee = p["limit_dps"]
+    return [work.per_block(lambda w: -np.sign(w) * np.maximum(0.0, np.abs(w) - knee))]
+
+
+def ripple_grid(survey: Survey) -> list[Parameters]:
+    """Periods fine enough for the temperature span, straight and chirped."""
+    span = survey.temp_high - survey.temp_low
+    if span < 4.0:
+        return []
+    inverse = np.arange(1.0 / min(30.0, 0.8 * span), 1.0 / 2.5, 0.22 / span)
+    return [{"period_K": float(1.0 / f), "chirp_per_K": c} for c in (0.0, -0.004, 0.004) for f in inverse]
+
+
+def ripple_phase(h: FloatArray, p: Parameters) -> FloatArray:
+    """φ = 2π (h + χh²)/P [rad]."""
+    return 2.0 * np.pi * (h + p.get("chirp_per_K", 0.0) * h * h) / p["period_K"]
+
+
+def ripple_columns(work: Work, p: Parameters) -> list[FloatArray]:
+    """cos φ and sin φ."""
+    phase = ripple_phase(above_room(work), p)
+    return [np.cos(phase), np.sin(phase)]
+
+
+def sawtooth_grid(survey: Survey) -> list[Parameters]:
+    """Tried in a ripple's place, around its period (`training.diagnose.classes`), not on a grid of its own."""
+    return []
+
+
+def sawtooth(work: Work, p: Parameters) -> list[FloatArray]:
+    """A sawtooth of unit amplitude in temperature."""
+    return [2.0 * np.mod((above_room(work) - p["phase_K"]) / p["period_K"], 1.0) - 1.0]
+
+
+def decay(work: Work, p: Parameters) -> FloatArray:
+    """exp(−t/τ)."""
+    return np.exp(-work.t / p["tau_s"])
+
+
+def change_grid(survey: Survey) -> list[Parameters]:
+    """Instants are searched sample by sample (`training.diagnose.steps`), not on a grid."""
+    return []
+
+
+def after_step(work: Work, p: Parameters) -> FloatArray:
+    """0 before the instant, 1 from it on, in its recording."""
+    if work.index != int(p["recording"]):
+        return np.zeros(len(work))
+    return (np.arange(len(work)) >= p["at_share"] * len(work)).astype(float)
+
+
+def ageing_columns(work: Work, p: Parameters) -> list[FloatArray]:
+    """Rate times t, √t or a logarithm of it."""
+    late = np.maximum(work.t, 0.0)
+    shape = {0: late, 1: np.sqrt(late), 2: np.log1p(late / 600.0), 3: np.log1p(late / 3600.0)}
+    return [PPM * work.w * shape[int(p["shape"])]]
+
+
+def heading_columns(work: Work, harmonic: int) -> list[FloatArray]:
+    """cos kψ and sin kψ."""
+    return [work.extra[f"cos{harmonic}"], work.extra[f"sin{harmonic}"]]
+
+
+def rate_heading(work: Work, p: Parameters) -> list[FloatArray]:
+    """ω cos kψ and ω sin kψ."""
+    names = ["wcos1", "wsin1"] + (["wcos2", "wsin2"] if p["order"] > 1.5 else [])
+    return [PPM * work.extra[name] for name in names]
+
+
+def fixed_names(*pairs: tuple[str, str]) -> Callable[[Parameters], Sequence[tuple[str, str]]]:
+    """The same coefficient names at every grid point."""
+    return lambda p: pairs
+
+
+def poly_names(letter: str, unit: str) -> Callable[[Parameters], Sequence[tuple[str, str]]]:
+    """Names and units of polynomial coefficients."""
+    stem = {"b": "dps", "s": "ppm"}[letter]
+    return lambda p: [
+        (f"{letter}{k}_{stem}_per_K{'' if k == 1 else k}", f"{unit}/K{'' if k == 1 else f'^{k}'}")
+        for k in range(1, int(p["order"]) + 1)
+    ]
