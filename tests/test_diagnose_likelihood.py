@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 
 from training.diagnose.likelihood import profile
@@ -9,7 +11,7 @@ def white_problem(seed, columns):
     n = 600
     stack = rng.standard_normal((n, columns + 1))
     edges = band_edges(n)
-    grams = np.asarray([stack[a:b].T @ stack[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    grams = np.asarray([stack[a:b].T @ stack[a:b] for a, b in pairwise(edges)])
     phi = shapes(np.linspace(0.1, 1.0, len(edges) - 1), n)
     weights = np.zeros((1, len(phi)))
     weights[0, 0] = 1.0
@@ -39,7 +41,7 @@ def test_a_copy_of_a_column_changes_nothing():
     edges = np.concatenate([[0], np.cumsum(counts)]).astype(int)
 
     def grams_of(columns):
-        return np.asarray([columns[a:b].T @ columns[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+        return np.asarray([columns[a:b].T @ columns[a:b] for a, b in pairwise(edges)])
 
     once = fit(grams_of(stack), counts, phi, weights.copy(), 1)
     twice = fit(grams_of(np.insert(stack, 3, 2.0 * stack[:, 2], axis=1)), counts, phi, weights.copy(), 1)

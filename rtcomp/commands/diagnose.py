@@ -125,13 +125,10 @@ def command(
         return
     click.echo(found.sentence)
     for finding in found.findings:
-        click.echo(
-            f"  {finding.status:9s} {' | '.join(finding.alternatives)}: {finding.rms_dps:.3g} °/s rms, p = {finding.p_value:.1g}"
-        )
-    fit = found.fit
-    click.echo(
-        f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {'held-out recordings' if fit.heldout else 'held-out blocks'}"
-    )
+        names = " | ".join(finding.alternatives)
+        click.echo(f"  {finding.status:9s} {names}: {finding.rms_dps:.3g} °/s rms, p = {finding.p_value:.1g}")
+    fit, where = found.fit, "held-out recordings" if found.fit.heldout else "held-out blocks"
+    click.echo(f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {where}")
     click.echo(f"report: {out / 'report.html'}")
 
 

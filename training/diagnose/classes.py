@@ -21,7 +21,7 @@ from training.diagnose.naming import (
     residual_scan,
     score,
 )
-from training.diagnose.search import Candidate, Null
+from training.diagnose.search import STATIC_PRICE, Candidate, Null
 
 PREFER = 2.0
 SWAPS = 3
@@ -119,7 +119,7 @@ def with_classes(
             ):
                 continue
             rival = _rival(library, domains, null, without, candidate, len(part.points))
-            if reference - score(rival) < allowed:
+            if reference - score(rival) < (STATIC_PRICE if _contains(part, candidate) else allowed):
                 close[effect], models[effect] = reference - score(rival), rival
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:
@@ -154,7 +154,10 @@ def sawtooth_model(domains: Sequence[Domain], without: Model, group: Group, ripp
 
 
 def _contains(part: Part, rival: Candidate) -> bool:
-    """Whether the rival merely carries the part's own column along (a hysteresis with its static slope)."""
+    """Whether the rival carries the part's own column along (a hysteresis with its static slope).
+
+    It always explains as much, so it is an alternative only where its loop earns the price of its column.
+    """
     return (
         part.effect in ("bias_temperature", "scale_temperature")
         and rival.variant.parameters.get("with_static", 0.0) > 0.0

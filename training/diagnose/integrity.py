@@ -162,7 +162,7 @@ def _sentinels(result: Checked) -> None:
             values, counts = np.unique(rate[far], return_counts=True)
             top = int(np.argmax(counts))
             result.remarks.append(
-                f"{int(far.sum())} sentinel codes or spikes beyond the motion (most often {values[top]:.6g} °/s): masked"
+                f"{int(far.sum())} sentinel codes or spikes (most often {values[top]:.6g} °/s): masked"
             )
             result.valid = good & ~far
     temp = result.columns.get("temp_degC")
