@@ -21,7 +21,7 @@ SETTLE_TAUS = 5.0  # e⁻⁵ < 1 % of an unknown start is left
 class Compiled(NamedTuple):
     """Models of all channels; group g is one model file, the groups of a channel add up. All arrays contiguous.
 
-    Starts are unsigned, as all indices of the compiled step are: a signed one is tested for being negative at every use.
+    Starts are unsigned, as all indices of the compiled step are: a signed one is tested for its sign at every use.
     """
 
     group_start: np.ndarray  # uint64 (channels + 1)
@@ -170,12 +170,17 @@ def _needs(stack: Sequence[Model]) -> list[bool]:
     return [bool(temperature), "coil_temp_degC" in used, "time_since_power_on_s" in used]
 
 
+def number(value: Any) -> float:
+    """A parameter that is known to be a number."""
+    return float(value)
+
+
 def _slowest(model: Model) -> float:
     """The longest memory [s] of a temperature long past."""
     taus = [0.0]
     for term in model.terms:
         if term.effect in DYNAMIC or term.parameters.get("driver") == "temperature_rate":
-            taus += [float(term.parameters.get(name, 0.0)) for name in ("tau_s", "tau2_s", "smooth_s")]
+            taus += [number(term.parameters.get(name, 0.0)) for name in ("tau_s", "tau2_s", "smooth_s")]
     if model.rules.centers:
         taus += [model.filters.get(name, FILTER_TAU_S[name]) for name in model.inputs if name in FILTER_TAU_S]
     return max(taus)

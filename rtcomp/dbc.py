@@ -22,7 +22,8 @@ def load_dbc(path: str | Path) -> Any:
     """
     import_can()  # cantools imports it too, but then with all that its readers need
     import cantools
-    from cantools.database import Error, UnsupportedDatabaseFormatError
+    from cantools.database import UnsupportedDatabaseFormatError  # pyright: ignore[reportPrivateImportUsage]
+    from cantools.database.errors import Error
 
     try:
         text = Path(path).read_text(encoding="cp1252", errors="replace")

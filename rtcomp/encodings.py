@@ -17,7 +17,7 @@ Encoder = Callable[[np.ndarray, str], Iterator[bytes]]
 
 def struct_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
     """The samples as they are: `CORRECTED`, packed, little-endian."""
-    view, size = memoryview(np.ascontiguousarray(samples)).cast("B"), CORRECTED.itemsize
+    view, size = np.ascontiguousarray(samples).view(np.uint8).data, CORRECTED.itemsize
     for start in range(0, len(view), size):
         yield bytes(view[start : start + size])
 
@@ -69,7 +69,7 @@ def cdr_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
     imu["angular_velocity"][:, axis] = samples["rate_dps"] * RAD
     variance = np.square(samples["sigma_dps"].astype(np.float64) * RAD)
     imu["angular_velocity_covariance"][:, 4 * axis] = np.where(np.isfinite(variance), variance, 0.0)
-    view, size = memoryview(imu).cast("B"), imu.itemsize
+    view, size = imu.view(np.uint8).data, imu.itemsize
     for start in range(0, len(view), size):
         yield bytes(view[start : start + size])
 

@@ -77,7 +77,7 @@ class Flag(IntFlag):
 
 def schema() -> dict[str, Any]:
     """The corrected sample's layout, as served at `<prefix>/<channel>/schema`."""
-    fields = CORRECTED.fields or {}
+    fields: Any = CORRECTED.fields
     return {
         "schema": "rtcomp.corrected/1",
         "size": CORRECTED.itemsize,

@@ -33,7 +33,7 @@ class Strict(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of every part: unknown keys are refused."""
 
 
-class Rules(Strict):
+class Rules(Strict, frozen=True):
     """TS rules (PAPER eqs. 1, 2, 9-11): `centers` and `widths` (σ) c × n, `consequents` c × (n + 1)."""
 
     centers: list[list[float]] = []
@@ -41,7 +41,7 @@ class Rules(Strict):
     consequents: list[list[float]] = []
 
 
-class OpenLoopSine(Strict, tag="open_loop_sine", tag_field="kind"):
+class OpenLoopSine(Strict, frozen=True, tag="open_loop_sine", tag_field="kind"):
     """m = G sin(K ω)/K0 with K = K0 (1 + αh), G = 1 + g0 + g1 h + g2 h², h = T − ref; ω in rad/s inside."""
 
     K0_s: float
@@ -52,21 +52,21 @@ class OpenLoopSine(Strict, tag="open_loop_sine", tag_field="kind"):
     ref_degC: float = 25.0
 
 
-class Polynomial(Strict, tag="polynomial", tag_field="kind"):
+class Polynomial(Strict, frozen=True, tag="polynomial", tag_field="kind"):
     """Error = Σ c[i][j] hⁱ mʲ with h = T − ref and m the measured rate [°/s]."""
 
     coefficients: list[list[float]]
     ref_degC: float = 25.0
 
 
-class Term(Strict):
+class Term(Strict, frozen=True):
     """One dynamic effect; names, units and equations of its parameters are in `rtcomp.terms`."""
 
     effect: str
     parameters: dict[str, bool | float | list[float] | str]
 
 
-class ResidualTable(Strict):
+class ResidualTable(Strict, frozen=True):
     """Residual standard deviation [°/s] per region: edges of temperature and rate, `std_dps` rows by temperature."""
 
     temp_degC: list[float]
@@ -74,7 +74,7 @@ class ResidualTable(Strict):
     std_dps: list[list[float]]
 
 
-class Model(Strict):
+class Model(Strict, frozen=True):
     """A model file. Predicted error = base + TS part + terms [°/s]; corrected = raw − predicted."""
 
     schema: Literal["rtcomp.model/1"]

@@ -33,7 +33,9 @@ def is_plausible(plan, c, s, loop, ch, role, t_ns, value):
     if loop.doubts[ch, role] and abs(t_ns - taken) > age_ns:
         s.times[ch, SETTLED_AT] = t_ns + np.int64(c.settle_s[ch] * 1e9)
     loop.doubts[ch, role] = 0
-    if value != before or loop.since[ch, role] == NEVER or abs(t_ns - taken) > age_ns:  # nobody saw it in a gap
+    if (
+        value != before or loop.since[ch, role] == NEVER or abs(t_ns - taken) > age_ns
+    ):  # nobody saw it in a gap
         loop.since[ch, role] = t_ns
     return True
 

@@ -1,4 +1,4 @@
-"""The command line: help with an example everywhere; what is wrong is one clear sentence, exit status 2, nothing written."""
+"""The command line: help with an example everywhere; a wrong request is one sentence, status 2, nothing written."""
 
 import json
 import subprocess

@@ -103,7 +103,7 @@ class Peer:
     """python-can's Message, cantools and numpy: no CRC, no counter, which would only slow it down."""
 
     def __init__(self, model: Model) -> None:
-        self.database = cantools.database.load_file(data_folder() / "fog.dbc")
+        self.database: Any = cantools.database.load_file(data_folder() / "fog.dbc")
         rules = model.rules
         self.centers, self.widths, self.consequents = map(
             np.array, (rules.centers, rules.widths, rules.consequents)

@@ -7,6 +7,7 @@ given with its 95 % interval (ordinary least squares over the second half, when 
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -51,7 +52,7 @@ def soak(frames: int) -> dict[str, object]:
         memory.append(resident_mib())
     half = np.array(memory[len(memory) // 2 :])
     seen = np.arange(len(half)) * per_chunk / 1e6
-    line = stats.linregress(seen, half)
+    line: Any = stats.linregress(seen, half)
     margin = float(stats.t.ppf(0.975, len(half) - 2) * line.stderr) if len(half) > 2 else None
     return {
         "frames": pipeline.counts["frames"],

@@ -144,7 +144,7 @@ def _read_table(path: Path, columns: dict[str, str]) -> dict[str, np.ndarray]:
     except (pa.ArrowInvalid, OSError, EOFError, gzip.BadGzipFile) as error:
         raise RequestError(f"{path}: not a readable table: {str(error).splitlines()[0]}") from error
     try:
-        names = table.column_names
+        names: list[str] = list(table.column_names)
     except UnicodeDecodeError as error:
         raise RequestError(f"{path}: the header is not UTF-8 text: {error.reason}") from error
     if len(set(names)) != len(names):

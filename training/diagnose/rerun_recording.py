@@ -1,7 +1,6 @@
 """diagnosis.rrd: the recordings before and after, their drivers and the findings, for the viewer."""
 
 import logging
-from importlib import util
 from pathlib import Path
 
 import numpy as np
@@ -27,31 +26,7 @@ def series(analysis: Analysis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def save_rerun(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
-    """Write the recording with the viewer's own writer where that is installed, else with this one."""
-    if util.find_spec("rtcomp.view") is not None and util.find_spec("rtcomp.view.files") is not None:
-        from rtcomp.view import files  # type: ignore[attr-defined]
+    """Write the recording, by the viewer's own writer."""
+    from rtcomp.view.files import save_diagnosis
 
-        if hasattr(files, "save_diagnosis"):  # the one call site of the viewer
-            files.save_diagnosis(
-                path, series(analysis), diagnosis.sentence, [f.text for f in diagnosis.findings]
-            )
-            return
-    _save(analysis, diagnosis, path)
-
-
-def _save(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
-    import rerun as rr
-
-    stream = rr.RecordingStream("rtcomp_diagnosis")
-    stream.save(str(path))
-    stream.log("verdict", rr.TextDocument(diagnosis.sentence), static=True)
-    lines = [f"- **{f.effect}** ({f.status}): {f.text}, {f.rms_dps:.3g} °/s rms" for f in diagnosis.findings]
-    stream.log(
-        "findings", rr.TextDocument("\n".join(lines) or "none", media_type="text/markdown"), static=True
-    )
-    for name, (t, values) in series(analysis).items():
-        stream.send_columns(
-            name, [rr.TimeColumn("t", duration=t)], columns=rr.Scalars.columns(scalars=values)
-        )
-    stream.flush()
-    stream.disconnect()
+    save_diagnosis(path, series(analysis), diagnosis.sentence, [f.text for f in diagnosis.findings])
