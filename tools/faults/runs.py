@@ -390,8 +390,8 @@ def _gone(context: Context) -> Documents:
         peer = open_peer(context, "first", port, quick)
         wait_for(lambda: runner.publisher.wait_for_subscribers(0.0))
         send(runner, frames[:600], speed=2)
-        peer.kill()
-        peer.wait()
+        with peer:  # closes its pipes and waits for it
+            peer.kill()
         send(runner, frames[600:1200], speed=2)
         peer = open_peer(context, "second", port, quick)
         wait_for(lambda: runner.publisher.wait_for_subscribers(0.0))
