@@ -158,10 +158,12 @@ def _swap(context: Context) -> Documents:
 
         def put() -> None:
             session = runner.publisher.session
-            for _ in range(rounds):
+            for number in range(1, rounds + 1):
                 for payload in (b"{", good[:-20], b"\xff" * 100, other, good):
                     session.put("rtcomp/yaw/model/swap", payload)
                     time.sleep(0.02)
+                # two swaps before one frame would be one; so each is seen in a sample before the next is sent
+                wait_for(lambda k=number: runner.pipeline.flags.get("model_swapped", 0) >= k)
             done.set()
 
         threading.Thread(target=put).start()
