@@ -256,6 +256,7 @@ def test_injections_have_the_peak_they_promise():
         assert np.max(np.abs(wave)) == pytest.approx(controls.REAL_UNIT_DPS[name])
 
 
+@pytest.mark.slow
 def test_a_peer_finds_a_planted_column_and_predicts_it():
     rng = np.random.default_rng(SEED)
     X = rng.normal(size=(1500, 3))
