@@ -112,7 +112,11 @@ def tiled(rows: int) -> np.ndarray:
 
 
 def pyfume_seconds(points: np.ndarray, folder: Path) -> tuple[float, float]:
-    """CPU seconds of pyFUME on the same points, in its own environment: bare GK and consequents, and its own call."""
+    """CPU seconds of pyFUME on the same points, in its own environment: bare GK and consequents, and its own call.
+
+    It runs in that environment's folder, since it writes files wherever it runs.
+    """
+    folder = folder.resolve()
     python = folder / "bin" / "python"
     if not python.exists():
         venv.create(folder, with_pip=True)
@@ -121,7 +125,13 @@ def pyfume_seconds(points: np.ndarray, folder: Path) -> tuple[float, float]:
     np.savetxt(file, points, delimiter=",")
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [python, "-c", PYFUME, file], check=True, capture_output=True, text=True, timeout=600, env=environment
+        [python, "-c", PYFUME, file],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env=environment,
+        cwd=folder,
     )
     bare, whole = json.loads(done.stdout.splitlines()[-1])
     return bare, whole
