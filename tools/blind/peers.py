@@ -111,7 +111,7 @@ def _sparse(
 
 def stlsq(X: np.ndarray, y: np.ndarray, names: list[str]) -> Answer:
     """pySINDy's sequentially thresholded least squares, threshold 0.1 on standardised columns and residual."""
-    from pysindy.optimizers import STLSQ
+    from pysindy.optimizers import STLSQ  # pyright: ignore[reportMissingImports] (optional)
 
     scale, size = _standard(X), y.std()
     fitted = STLSQ(threshold=0.1, alpha=0.05).fit(scale(X), (y / size)[:, None])
