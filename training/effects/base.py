@@ -9,6 +9,7 @@ A gyro's output is built in five stages; each has its own kind of effect:
     FrameEffect    loses, freezes or wraps recorded rows
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType, SimpleNamespace
@@ -71,7 +72,7 @@ def parameters(**named: Parameter) -> Mapping[str, Parameter]:
     return MappingProxyType(named)
 
 
-class Effect:
+class Effect(ABC):
     """One error source: its name, size and excitation; the docstring of each is its mechanism."""
 
     id: ClassVar[str]
@@ -121,8 +122,8 @@ class ErrorEffect(Effect):
         """Return measured minus true rate [°/s] caused by this effect alone, shape `(n_samples,)`."""
         return np.broadcast_to(self._error(truth, self.complete(parameters)), truth.t_s.shape).copy()
 
-    def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray | float:
-        raise NotImplementedError
+    @abstractmethod
+    def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray | float: ...
 
 
 class OutputEffect(Effect):
@@ -139,8 +140,8 @@ class OutputEffect(Effect):
         """Return the error [°/s] of an otherwise ideal gyro with this effect, shape `(n_samples,)`."""
         return self.apply(truth.rate_dps, truth, parameters) - truth.rate_dps
 
-    def _apply(self, output_dps: np.ndarray, truth: Truth, p: SimpleNamespace) -> np.ndarray:
-        raise NotImplementedError
+    @abstractmethod
+    def _apply(self, output_dps: np.ndarray, truth: Truth, p: SimpleNamespace) -> np.ndarray: ...
 
 
 class TimingEffect(Effect):
@@ -159,10 +160,10 @@ class TimingEffect(Effect):
         delay = self.delay_s(truth, parameters, np.random.default_rng(seed))
         return delayed(truth.t_s, truth.rate_dps, delay) - truth.rate_dps
 
+    @abstractmethod
     def _delay_s(
         self, truth: Truth, p: SimpleNamespace, generator: np.random.Generator
-    ) -> np.ndarray | float:
-        raise NotImplementedError
+    ) -> np.ndarray | float: ...
 
 
 class NoiseEffect(Effect):
@@ -178,8 +179,8 @@ class NoiseEffect(Effect):
         """Draw the error [°/s] of a stated seed, shape `(n_samples,)`."""
         return self.sample(truth, parameters, np.random.default_rng(seed))
 
-    def _sample(self, truth: Truth, p: SimpleNamespace, generator: np.random.Generator) -> np.ndarray:
-        raise NotImplementedError
+    @abstractmethod
+    def _sample(self, truth: Truth, p: SimpleNamespace, generator: np.random.Generator) -> np.ndarray: ...
 
 
 class FrameEffect(Effect):
@@ -193,8 +194,8 @@ class FrameEffect(Effect):
         """Return new columns with rows lost, frozen or re-stamped."""
         return self._alter(columns, self.complete(parameters), generator)
 
-    def _alter(self, columns: Columns, p: SimpleNamespace, generator: np.random.Generator) -> Columns:
-        raise NotImplementedError
+    @abstractmethod
+    def _alter(self, columns: Columns, p: SimpleNamespace, generator: np.random.Generator) -> Columns: ...
 
 
 def delayed(t_s: np.ndarray, values: np.ndarray, delay_s: np.ndarray) -> np.ndarray:
