@@ -1,8 +1,8 @@
 """The true rate as regressors need it: the reference with its own noise taken out, movable in time.
 
 A reference's white noise ν is in the residual as −ν.  A regressor made of the raw reference would find itself there
-and name a bandwidth or a dead band that does not exist.  In the uppermost quarter of the spectrum motion is over:
-what the residual shares with the reference there (covariance −σ²) measures ν, and a Wiener filter removes it.
+and name a bandwidth or a dead band that does not exist.  Where the motion is smooth from sample to sample, what the
+residual shares with the reference (covariance −σ²) measures ν; a Wiener filter removes what it can of it.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,12 @@ from scipy import interpolate, ndimage
 from training.diagnose.spectrum import band_edges
 from training.diagnose.work import FloatArray, dct, inverse_dct
 
-TOP_SHARE = 0.5
-MIN_NOISY = 0.25
+DIFFERENCES = 4
+DIFFERENCE_NORM = np.sqrt(70.0)  # 1² + 4² + 6² + 4² + 1²
+WINDOW = 32
+QUIET_SHARE = 0.25
+QUIET_LIMIT, MOVING = 4.0, 25.0  # times the quiet windows' power
+ROUNDS = 5
 LARGEST = 4.0
 
 
@@ -66,16 +70,32 @@ def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> tuple[F
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
-    """Variance of white noise per sample that the reference has and the residual mirrors; 0 where there is none."""
-    if np.ptp(ref) == 0.0 or len(ref) < 200:
+    """Variance of white noise per sample that the reference has and the residual mirrors [dps²]; 0 where none shows.
+
+    Fourth differences leave of a smooth motion next to nothing and of white noise everything, in the reference d and
+    in the residual e alike: E[d·e] = −σ² + s·(E[d²] − σ²), with s what the residual has of the motion (a scale error, a
+    bandwidth).  Windows in which the rate steps or shakes stand out by E[d²]; they give s, the others σ².  The weight
+    of a window is taken from its neighbours, because its own power is large where its noise is.
+    """
+    if np.ptp(ref) == 0.0 or len(ref) < 10 * WINDOW:
         return 0.0
-    first = int((1.0 - TOP_SHARE) * len(ref))
-    a = dct(ref)[first:]
-    b = dct(residual)[first:]
-    variance = float(np.mean(a * a))
-    shared = -float(np.mean(a * b))
-    sigma = np.sqrt(variance * float(np.mean(b * b)) / len(a))
-    return shared if variance > 0.0 and shared > MIN_NOISY * variance and shared > 4.0 * sigma else 0.0
+    d, e = (np.diff(values, DIFFERENCES) / DIFFERENCE_NORM for values in (ref, residual))
+    count = len(d) // WINDOW
+    d, e = (values[: count * WINDOW].reshape(count, WINDOW) for values in (d, e))
+    power, shared = np.mean(d * d, axis=1), np.mean(d * e, axis=1)
+    floor = float(np.quantile(power, QUIET_SHARE))
+    if floor <= 0.0:
+        return 0.0
+    quiet = power < QUIET_LIMIT * floor
+    moving = power > MOVING * floor
+    around = np.maximum(np.roll(power, 1), np.roll(power, -1))
+    weight = quiet / np.maximum(around, floor)
+    power_still, shared_still = (float(np.average(v, weights=weight)) for v in (power, shared))
+    variance = max(-shared_still, 0.0)
+    for _ in range(ROUNDS if moving.any() else 0):
+        slope = float(np.sum(shared[moving] + variance) / np.sum(power[moving] - variance))
+        variance = min(max(slope * max(power_still - variance, 0.0) - shared_still, 0.0), power_still)
+    return min(variance, power_still)
 
 
 def _wiener(ref: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
