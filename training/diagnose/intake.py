@@ -77,7 +77,8 @@ def take_in(
         return Intake(recording, checked, residual, simulated, None, Timing(moved=truth), [], work, truth)
     t = columns["t_s"]
     filled = _bridged(residual, valid)
-    ref = reference(t, truth, filled)
+    smoothed = reference(t, truth, filled)
+    ref = unbiased(smoothed, smoothed.rate, filled)
     found = align(columns, filled, ref, valid) if timing is None else timing
     fast: list[FastFinding] = []
     left = filled - (found.moved - ref.rate)
@@ -89,7 +90,9 @@ def take_in(
         found = align(columns, filled, ref, valid, variance.spread(found.moved, t))
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
-    driving, noise = unbiased(ref, found.moved, left)
+    driving = found.moved
+    if found.effects:  # without the timing error in it the residual shows the reference's noise more clearly
+        driving = found.moved + unbiased(smoothed, found.moved, left).rate - ref.rate
     work = prepare(
         recording.name,
         columns,
@@ -100,7 +103,7 @@ def take_in(
         power_on_known=settings.power_on_known,
     )
     lsb = quantized.parameters["lsb_dps"][0] if quantized is not None else 0.0
-    work.rate_noise_dps = max(noise, lsb)
+    work.rate_noise_dps = max(ref.left_dps, lsb)
     if variance.rate + variance.slope > 0.0:
         work.spread = np.sqrt(work.average(variance.spread(found.moved, t) ** 2))
     return Intake(recording, checked, residual, simulated, ref, found, fast, work, driving)

@@ -5,7 +5,7 @@ and name a bandwidth or a dead band that does not exist.  Where the motion is sm
 residual shares with the reference (covariance −σ²) measures ν; a Wiener filter removes what it can of it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import interpolate, ndimage
@@ -24,11 +24,13 @@ LARGEST = 4.0
 
 @dataclass(frozen=True)
 class Reference:
-    """Smoothed true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
+    """The true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
 
-    `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it.
+    `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it, `gain` the
+    smoothing per DCT coefficient.
     """
 
+    t: FloatArray
     rate: FloatArray
     noise_dps: float
     left_dps: float
@@ -45,28 +47,28 @@ def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference
     noise = _shared_noise(ref, residual)
     rate, gain = _wiener(ref, noise) if noise > 0.0 else (ref, np.ones(len(ref)))
     left = float(np.sqrt(noise * np.mean(gain**2)))
-    return Reference(rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
+    return Reference(t, rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
 
 
-def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> tuple[FloatArray, float]:
-    """The moved true rate with the reference's noise estimated from the residual, and the deviation that is left.
+def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> Reference:
+    """A smoothed reference with the noise that is left in it estimated from the residual `(n,)` and taken out.
 
-    The residual is n − ν (gyro noise less reference noise).  Wiener's estimate of ν from it, filtered by
-    S_ν/S_residual at every frequency, leaves a rate whose error is uncorrelated with the residual: regressors made
-    of it cannot find the reference's noise in the residual.  The estimate is bounded, so that a large effect stays.
+    The residual is n − ν (gyro noise less reference noise) where the channel shows the rate `moved` `(n,)`.  Wiener's
+    estimate of ν from it, filtered by S_ν/S_residual at every frequency, leaves a rate whose error is uncorrelated
+    with the residual: regressors made of it, its derivatives too, cannot find the reference's noise in the residual.
+    The estimate is bounded, so that a large effect stays.
     """
     if ref.noise_dps <= 0.0:
-        return moved, 0.0
+        return ref
     design = np.stack([np.ones(len(moved)), moved], axis=1)
     left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
     spectrum = dct(left)
     edges = band_edges(len(left))
     power = np.repeat(np.add.reduceat(spectrum**2, edges[:-1]) / np.diff(edges), np.diff(edges))
     share = np.minimum(ref.noise_dps**2 / np.maximum(power, 1e-300), 1.2)
-    estimate = np.clip(
-        inverse_dct(spectrum * share * ref.gain), -LARGEST * ref.noise_dps, LARGEST * ref.noise_dps
-    )
-    return moved + estimate, ref.left_dps
+    bound = LARGEST * ref.noise_dps
+    rate = ref.rate + np.clip(inverse_dct(spectrum * share * ref.gain), -bound, bound)
+    return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
