@@ -329,7 +329,8 @@ def timed_error(c, j, w, t):
     if kind == SCALE_WARMUP:
         return w * p0 * math.exp(-t / c.term[j, 1])
     if kind == AGEING:
-        return w * p0 * t
+        shape = p0 * t + c.term[j, 1] * math.sqrt(t) + c.term[j, 2] * math.log1p(t / c.term[j, 3])
+        return w * shape
     return p0 * t  # DRIFT
 
 

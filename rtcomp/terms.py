@@ -93,7 +93,13 @@ TERMS: dict[str, TermKind] = {
         ("period_K",),
     ),
     "bias_drift": TermKind(DRIFT, "e = c·t", ("c_dps_per_s",)),
-    "source_ageing": TermKind(AGEING, "e = w·c·t", ("c_ppm_per_s",)),
+    "source_ageing": TermKind(
+        AGEING,
+        "e = w·(c·t + r·√t + l·ln(1 + t/ln_tau_s))",
+        (),
+        {"c_ppm_per_s": 0.0, "c_ppm_per_sqrt_s": 0.0, "c_ppm_per_ln": 0.0, "ln_tau_s": 600.0},
+        ("ln_tau_s",),
+    ),
     "scale_error": TermKind(SCALE, "e = w·c", ("ppm",)),
     "bias_error": TermKind(BIAS, "e = b", ("dps",)),
     "unit_error": TermKind(UNIT, "e = m·(1 − 1/factor)", ("factor",)),
@@ -127,7 +133,7 @@ def check_term(effect: str, parameters: Mapping[str, Any], where: str) -> None:
     for name in parameters:
         if not isinstance(parameters[name], int | float):
             raise RequestError(f"{where}: term {effect}: {name} is {parameters[name]!r}, wanted a number")
-    if any(parameters[name] <= 0 for name in kind.positive):
+    if any(parameters.get(name, kind.optional.get(name)) <= 0 for name in kind.positive):
         raise RequestError(f"{where}: term {effect}: {', '.join(kind.positive)} must be above 0")
     if kind.code == UNIT and parameters["factor"] == 0:
         raise RequestError(f"{where}: term {effect}: factor must not be 0")

@@ -125,7 +125,13 @@ def read_recording(
         raise RequestError(f"{path}: no rows; a recording needs at least one")
     if ignored:
         logger.info("%s: columns not used: %s", path, ", ".join(ignored))
-    return Recording(path.name.split(".")[0], known, path, _sha256(path), ignored)
+    return Recording(recording_name(path), known, path, _sha256(path), ignored)
+
+
+def recording_name(path: Path) -> str:
+    """A file's name without the endings that say what kind of file it is."""
+    name = path.name.removesuffix(".gz")
+    return Path(name).stem or name
 
 
 def _read_table(path: Path, columns: dict[str, str]) -> dict[str, np.ndarray]:

@@ -54,6 +54,7 @@ class _Command(click.Command):
 @click.option("--columns", help="Rename columns: rate_dps=gyro_x_dps,temp_degC=temp_C.")
 @click.option("--dbc", type=FILE, help="DBC file, for CAN logs.")
 @click.option("--map", "signal_map", help="Signal map (name or file), for CAN logs.")
+@click.option("--channel", help="Which of the map's channels, when it has several.")
 @click.option(
     "--offset-tol",
     type=click.FloatRange(min=0.0),
@@ -89,6 +90,7 @@ def command(
     columns: str | None,
     dbc: Path | None,
     signal_map: str | None,
+    channel: str | None,
     offset_tol: float,
     scale_tol: float,
     seed: int,
@@ -118,7 +120,16 @@ def command(
     )
     with _progress() as told:
         found = run_diagnose(
-            recordings, out, heldout, simulation, settings, parse_columns(columns), dbc, signal_map, told
+            recordings,
+            out,
+            heldout,
+            simulation,
+            settings,
+            parse_columns(columns),
+            dbc,
+            signal_map,
+            told,
+            channel,
         )
     if as_json:
         click.echo(to_json(found))

@@ -21,10 +21,14 @@ class Fault:
 
 @dataclass
 class Checked:
-    """A recording after the checks: repaired columns, the mask of samples that may vote, faults and remarks."""
+    """A recording after the checks: repaired columns, the mask of samples that may vote, faults and remarks.
+
+    `rows` are the rows of the recording that the columns show, in their (repaired) order.
+    """
 
     columns: dict[str, FloatArray]
     valid: NDArray[np.bool_]
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     faults: list[Fault] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     unusable: str | None = None

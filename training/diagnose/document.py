@@ -1,16 +1,11 @@
-"""diagnosis.json: its parts as strict structs (contract `rtcomp.diagnosis/1`), written whole or not at all."""
+"""diagnosis.json: its parts as strict structs (contract `rtcomp.diagnosis/1`)."""
 
 import json
 import math
-import os
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import msgspec
 from msgspec import Struct, field
-
-from rtcomp.errors import RequestError
 
 SCHEMA = "rtcomp.diagnosis/1"
 VERDICTS = ("named", "ambiguous", "unknown", "nothing_missing", "not_excited", "bad_recording")
@@ -156,17 +151,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(v) for v in value]
     return value
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise RequestError(
-            f"cannot write {path}: {error.strerror}; give a folder that can be written to"
-        ) from error

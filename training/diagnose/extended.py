@@ -13,13 +13,17 @@ from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
 from training.diagnose.generic import HATS, VALUES, basis_of, knots_of
+from training.diagnose.library import Parameters
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
 
 RATE_TAU_S = 40.0
-SIGMOID_KNOTS = 65
+CORNERS = 65  # knots of an empirical term that is not piecewise linear in its driver
+SHARP_WIDTHS = 4.0  # half-widths of a transition that get knots of their own
+LN_TAU_S = {2.0: 600.0, 3.0: 3600.0}  # of the logarithms among the shapes of ageing
+STATIC = {"b1_dps_per_K": "bias_temperature", "s1_ppm_per_K": "scale_temperature"}
 UNKNOWN_DRIVERS = {
     "temperature": ("temperature", False),
     "rate_times_temperature": ("temperature", True),
@@ -32,10 +36,11 @@ UNKNOWN_DRIVERS = {
 }
 
 
-def terms_of(analysis: Analysis) -> tuple[list[Term], list[str]]:
-    """(terms, effects without one) of the analysis' model."""
-    terms: list[Term] = []
-    left: list[str] = []
+def terms_of(analysis: Analysis, diagnosis: Diagnosis) -> tuple[list[Term], list[str]]:
+    """(terms, effects without one) of all that was found."""
+    terms = coefficient_terms(diagnosis)
+    told = {term.effect for term in terms}
+    left = [f.effect for f in diagnosis.findings if f.effect not in (*told, *_modelled(analysis), "unknown")]
     model = analysis.model
     for part, where in zip(model.parts, model.slices(), strict=True) if model is not None else ():
         found = _part_terms(part, model.fit.beta[where]) if model is not None and part.effect in TERMS else []
@@ -45,30 +50,45 @@ def terms_of(analysis: Analysis) -> tuple[list[Term], list[str]]:
         term = _unknown_term(analysis)
         terms += [term] if term is not None else []
         left += [] if term is not None else ["unknown"]
-    return terms, left
+    return terms, list(dict.fromkeys(left))
+
+
+def _modelled(analysis: Analysis) -> list[str]:
+    return [part.effect for part in analysis.model.parts] if analysis.model is not None else []
+
+
+def coefficient_terms(diagnosis: Diagnosis) -> list[Term]:
+    """Offset and scale factor that were findings of their own, the mean over the recordings they were found in."""
+    terms = []
+    for name, key in (("bias_error", "dps"), ("scale_error", "ppm")):
+        values = [f.parameters[key].value for f in diagnosis.findings if f.effect == name]
+        terms += [Term(name, {key: float(np.mean(values))})] if values else []
+    return terms
 
 
 def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
-    """One term per point of the part's shape; a static slope that belongs to a hysteresis becomes a term of its own."""
+    """One term per point of the part's shape; a static slope that belongs to a hysteresis becomes a term of its own.
+
+    None at all where a coefficient has no place in the term.
+    """
     terms, at = [], 0
+    kind = TERMS[part.effect]
     for point in part.points:
         linear = part.group.linear(point)
         values = {name: float(v) for (name, _), v in zip(linear, beta[at : at + len(linear)], strict=True)}
         at += len(linear)
-        kind = TERMS[part.effect]
-        parameters = {k: float(v) for k, v in point.items() if k in kind.names} | {
-            k: v for k, v in values.items() if k in kind.names
-        }
-        if not set(kind.required) <= set(parameters):
+        shape = {"ln_tau_s": LN_TAU_S[point["shape"]]} if point.get("shape") in LN_TAU_S else {}
+        own = {k: float(v) for k, v in {**point, **shape, **values}.items() if k in kind.names}
+        static = {k: v for k, v in values.items() if k in STATIC and k not in kind.names}
+        if not set(kind.required) <= set(own) or not set(values) <= {*own, *static}:
             return []
-        terms.append(Term(part.effect, dict(parameters)))
-        for static, key in (("bias_temperature", "b1_dps_per_K"), ("scale_temperature", "s1_ppm_per_K")):
-            if key in values and key not in kind.names:
-                terms.append(Term(static, {key: values[key]}))
+        terms.append(Term(part.effect, dict(own)))
+        terms += [Term(STATIC[key], {key: value}) for key, value in static.items()]
     return terms
 
 
 def _unknown_term(analysis: Analysis) -> Term | None:
+    """The empirical model as a piecewise linear function of its driver; None for a driver the bus does not know."""
     unknown, model = analysis.unknown, analysis.model
     if unknown is None or model is None or unknown.driver not in UNKNOWN_DRIVERS:
         return None
@@ -79,9 +99,7 @@ def _unknown_term(analysis: Analysis) -> Term | None:
     pooled = np.concatenate([VALUES[unknown.driver][0](w) for w in works])
     point = unknown.part.points[0]
     sets = {float(n): knots_of(pooled, n) for n in {*HATS, int(point["hats"])} if n > 1}
-    knots = (
-        np.linspace(pooled.min(), pooled.max(), SIGMOID_KNOTS) if "centre" in point else sets[point["hats"]]
-    )
+    knots = _corners(pooled, point, sets, curved=unknown.driver == "time_since_power_on")
     values = np.stack(basis_of(knots, sets, point), axis=1) @ beta
     if unknown.driver == "time_since_power_on":
         knots = np.exp(knots) - 60.0
@@ -89,16 +107,29 @@ def _unknown_term(analysis: Analysis) -> Term | None:
         "driver": driver,
         "times_rate": times_rate,
         "knots": knots.tolist(),
-        "values_dps": values.tolist(),
+        "values": values.tolist(),  # °/s, or ppm of the rate
     }
     if driver == "temperature_rate":
         parameters["tau_s"] = RATE_TAU_S
     return Term("unknown", parameters)
 
 
+def _corners(pooled: np.ndarray, point: Parameters, sets: dict[float, np.ndarray], curved: bool) -> np.ndarray:
+    """Knots on which a piecewise linear term follows the basis of `point`, rising, within the driver's range."""
+    low, high = float(pooled.min()), float(pooled.max())
+    if "centre" not in point and not curved:
+        return sets[point["hats"]]
+    even = np.linspace(low, high, CORNERS)
+    if "centre" not in point:
+        return np.union1d(even, sets[point["hats"]])
+    reach = SHARP_WIDTHS * point["width"]
+    around = np.linspace(point["centre"] - reach, point["centre"] + reach, CORNERS)
+    return np.union1d(even, around[(around > low) & (around < high)])
+
+
 def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     """Write the model file; without anything found it is an empty, valid model."""
-    terms, left = terms_of(analysis)
+    terms, left = terms_of(analysis, diagnosis)
     base = analysis.simulation.model
     works = [d.work for d in analysis.domains]
     fields: dict[str, Any] = {"terms": [_plain(t) for t in terms]}

@@ -29,6 +29,17 @@ GAINS = {
     "from rpm": 6.0,
 }
 GAIN_TOLERANCE = 0.03
+BRIDGED = (
+    "temp_degC",
+    "coil_temp_degC",
+    "heading_deg",
+    "speed_mps",
+    "accel_lat_mps2",
+    "vibration_rms_mps2",
+)
+KELVIN_FROM = 200.0  # no gyro's housing is this warm in °C, and every one is in K
+SLOW_S = 2.0  # steps of this length for so many days (turning, at rest): not a recording, but one with its time in ms
+LONG_DAYS = (2.0, 10.0)
 MIN_ROWS = 40
 USABLE = 0.3
 
@@ -36,7 +47,8 @@ USABLE = 0.3
 def check(columns: dict[str, FloatArray], static: bool) -> Checked:
     """Run all checks on one recording's columns (each of shape `(n,)`)."""
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
-    result = Checked(columns, np.ones(len(columns["rate_dps"]), dtype=bool))
+    count = len(columns["rate_dps"])
+    result = Checked(columns, np.ones(count, dtype=bool), np.arange(count))
     if static and "ref_rate_dps" not in columns:
         columns["ref_rate_dps"] = np.zeros(len(result.valid))
     _missing(result)
@@ -71,20 +83,27 @@ def _missing(result: Checked) -> None:
         if bad.any():
             result.valid &= ~bad
             result.remarks.append(f"{int(bad.sum())} values of {name} are missing or not finite: masked")
-    temp = result.columns.get("temp_degC")
-    if temp is not None and not np.isfinite(temp).all():
-        good = np.isfinite(temp)
-        result.remarks.append(f"{int((~good).sum())} temperatures are missing: bridged")
-        if good.any():
-            index = np.arange(len(temp))
-            result.columns["temp_degC"] = np.interp(index, index[good], temp[good])
-        else:
-            del result.columns["temp_degC"]
+    for name in BRIDGED:
+        values = result.columns.get(name)
+        if values is not None and not np.isfinite(values).all():
+            _bridge(result, name, np.isfinite(values))
+    if "temp_degC" not in result.columns:
+        result.remarks.append("no temperature (temp_degC): no thermal effect can show")
+
+
+def _bridge(result: Checked, name: str, good: NDArray[np.bool_]) -> None:
+    """Fill the gaps of a slow driver from both sides; a driver without any value is none."""
+    result.remarks.append(f"{int((~good).sum())} values of {name} are missing: bridged")
+    if good.any():
+        index = np.arange(len(good))
+        result.columns[name] = np.interp(index, index[good], result.columns[name][good])
+    else:
+        del result.columns[name]
 
 
 def _select(result: Checked, rows: NDArray[np.int64] | NDArray[np.bool_]) -> None:
     result.columns = {name: values[rows] for name, values in result.columns.items()}
-    result.valid = result.valid[rows]
+    result.valid, result.rows = result.valid[rows], result.rows[rows]
 
 
 def _clock(result: Checked) -> None:
@@ -114,6 +133,14 @@ def _clock(result: Checked) -> None:
         result.unusable = "fewer than 20 distinct time stamps; record again"
         return
     median = float(np.median(steps))
+    days = float(np.ptp(result.columns["t_s"])) / 86400.0
+    turning = np.ptp(result.columns["ref_rate_dps"][result.valid]) > 1.0
+    if median >= SLOW_S and days > LONG_DAYS[0 if turning else 1]:
+        result.unusable = (
+            f"t_s rises by {median:.6g} from row to row and spans {days:.4g} days: in ms, µs or ns, not in seconds; "
+            "convert it"
+        )
+        return
     spread = float(np.std(steps[steps < 3.0 * median]) / median)
     if spread > 0.02:
         result.remarks.append(f"intervals between rows vary by {100 * spread:.1f} % (median {median:.6g} s)")
@@ -143,9 +170,19 @@ def _unwrap(result: Checked) -> None:
 
 def _temperature_unit(result: Checked) -> None:
     temp = result.columns.get("temp_degC")
-    if temp is not None and np.median(temp) > 200.0:
+    if temp is not None and np.median(temp) > KELVIN_FROM:
         result.columns["temp_degC"] = temp - 273.15
-        result.remarks.append("temperatures above 200: taken for kelvin and converted")
+        result.faults.append(
+            Fault(
+                "unit_error",
+                f"temp_degC has a median of {np.median(temp):.4g}: kelvin, not °C; 273.15 taken off",
+                len(temp),
+                [],
+                {"offset_K": (273.15, "K")},
+            )
+        )
+        if "coil_temp_degC" in result.columns and np.median(result.columns["coil_temp_degC"]) > KELVIN_FROM:
+            result.columns["coil_temp_degC"] = result.columns["coil_temp_degC"] - 273.15
 
 
 def _sentinels(result: Checked) -> None:

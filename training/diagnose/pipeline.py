@@ -20,7 +20,7 @@ from training.diagnose.prove import Proof, folded, placebo, predicted, prove
 from training.diagnose.search import Null, surrogate_null
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
-from training.diagnose.unknown import Located, Unknown, locate, unexplained
+from training.diagnose.unknown import Located, Unknown, empirical, locate, unexplained
 from training.table import Recording
 
 logger = logging.getLogger(__name__)
@@ -48,6 +48,12 @@ class Analysis:
     proofs: list[Proof] = field(default_factory=list)
     placebo: float | None = None
     unusable: list[tuple[Recording, Checked]] = field(default_factory=list)
+
+    def everything(self) -> Model | None:
+        """The named parts and, where something without a name was found, its empirical part: all that is told."""
+        if self.model is None or self.unknown is None or not self.unknown.named:
+            return self.model
+        return empirical(self.unknown, self.domains, self.model)
 
 
 def analyse(
@@ -112,7 +118,7 @@ def _search(analysis: Analysis, progress: Progress) -> None:
 
 
 def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:
-    settings, model = analysis.settings, analysis.model
+    settings, model = analysis.settings, analysis.everything()
     if model is None:
         return
     if heldout:
@@ -138,7 +144,7 @@ def residual_after(analysis: Analysis, index: int) -> np.ndarray:
 
     work = analysis.intakes[index].work
     left = work.y.copy()
-    model = analysis.model
+    model = analysis.everything()
     if model is not None:
         for part, where in zip(model.parts, model.slices(), strict=True):
             left = left - waveform(part, model.fit.beta[where], work)

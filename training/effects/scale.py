@@ -115,14 +115,21 @@ class SourceAgeing(ErrorEffect):
     id = "source_ageing"
     title = "Source ageing, slow drift of the scale factor"
     section = "B6"
-    equation = "e = ω·10⁻⁶·c·t"
-    parameters = parameters(c_ppm_per_s=amplitude("ppm/s", 32.0 / (12.0 * DAY_S), 1e5 / (365.25 * DAY_S)))
+    equation = "e = ω·10⁻⁶·(c·t + r·√t + l·ln(1 + t/τ))"
+    parameters = parameters(
+        c_ppm_per_s=amplitude("ppm/s", 32.0 / (12.0 * DAY_S), 1e5 / (365.25 * DAY_S), default=0.0),
+        c_ppm_per_sqrt_s=amplitude("ppm/√s", 0.0, 0.0, default=0.0),
+        c_ppm_per_ln=amplitude("ppm", 0.0, 0.0, default=0.0),
+        ln_tau_s=shape("s", 600.0, 600.0, default=600.0),
+    )
     drivers = ("rate_times_time",)
     excitation = "recordings weeks apart at the same temperature and rates"
     source = "PHYSICS.md B6 [S13]: 32 ppm in 12 days; hard: 10 % of power in a year, not normalised"
 
     def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray:
-        return truth.rate_dps * PPM * p.c_ppm_per_s * truth.t_s
+        late = np.maximum(truth.t_s, 0.0)
+        aged = p.c_ppm_per_s * late + p.c_ppm_per_sqrt_s * np.sqrt(late)
+        return truth.rate_dps * PPM * (aged + p.c_ppm_per_ln * np.log1p(late / p.ln_tau_s))
 
 
 class ScaleWarmup(ErrorEffect):
