@@ -5,7 +5,8 @@ turn a delay into a bandwidth.  A second-order Butterworth filter is a delay up 
 likelihood says which, or that it cannot say.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,31 @@ class Timing:
     moved: FloatArray = field(default_factory=lambda: np.empty(0))
     change_rms_dps: float = 0.0
     sample_s: float = 0.0
+
+    def applied(self, ref: Reference) -> "Timing":
+        """The same timing on another recording's reference: nothing of it is fitted there."""
+        t = ref.t
+        if self.corner_Hz is not None:
+            moved = filtered(ref.rate, 1.0 / float(np.median(np.diff(t))), self.corner_Hz, self.poles)
+        else:
+            moved = ref.moved(t, self.delay_s + 1e-6 * self.clock_ppm * (t - t[0])) if self.effects else ref.rate
+        return replace(self, moved=moved, change_rms_dps=float(np.std(moved - ref.rate)))
+
+
+def common(timings: Sequence[Timing]) -> Timing:
+    """The timing that recordings share: that of those that show one, averaged, where at least half of them do."""
+    shown = [timing for timing in timings if timing.effects]
+    if not shown or 2 * len(shown) < len(timings):
+        return Timing()
+    kind = max(shown, key=lambda timing: max(timing.gains.values()))
+    alike = [timing for timing in shown if set(timing.effects) == set(kind.effects)]
+    corners = [timing.corner_Hz for timing in alike if timing.corner_Hz is not None]
+    return replace(
+        kind,
+        delay_s=float(np.mean([timing.delay_s for timing in alike])),
+        clock_ppm=float(np.mean([timing.clock_ppm for timing in alike])),
+        corner_Hz=float(np.exp(np.mean(np.log(corners)))) if corners else None,
+    )
 
 
 def align(
@@ -137,20 +163,29 @@ def _decide(
     timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference
 ) -> None:
     """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
-    only, delay = _delay_only(base, t, residual, ref)
+    late = t - t[0]
+    only, delay, delay_se = _one_shift(base, t, residual, ref, np.ones(len(t)))
+    drift, clock, clock_se = _one_shift(base, t, residual, ref, late)
     bandwidth, corner, poles = _bandwidth(base, residual, t, ref)
     both = timing.gains["both"]
-    drifts = both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se
-    timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": both}
+    timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": max(both, drift)}
+    timing.gains["drift_alone"] = drift
     sampling = 1.0 / float(np.median(np.diff(t)))
-    if drifts:
+    if drift > max(only, bandwidth) + SIMPLER and both - drift < SECOND and drift > SIGNIFICANT:
+        timing.delay_s, timing.delay_se = 0.0, 0.0
+        timing.clock_ppm, timing.clock_se = 1e6 * clock, 1e6 * clock_se
+        timing.effects["clock_drift"] = {"clock_ppm": timing.clock_ppm}
+        timing.moved = ref.moved(t, clock * late)
+        return
+    if both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se:
         timing.effects["clock_drift"] = {"clock_ppm": timing.clock_ppm}
         timing.moved = ref.moved(t, timing.delay_s + 1e-6 * timing.clock_ppm * span)
-        timing.delay_s += 1e-6 * timing.clock_ppm * float(span[0] - t[0])  # at t = 0, where the drift starts
-        timing.delay_se = float(np.hypot(timing.delay_se, 1e-6 * timing.clock_se * (span[0] - t[0])))
+        timing.delay_s += 1e-6 * timing.clock_ppm * float(span[0])  # at the start, from where the drift counts
+        timing.delay_se = float(np.hypot(timing.delay_se, 1e-6 * timing.clock_se * span[0]))
         if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.02:
             timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}
         return
+    timing.delay_se = delay_se
     timing.delay_s, timing.clock_ppm = delay, 0.0
     if max(only, bandwidth) < SIGNIFICANT:
         timing.delay_s = 0.0
@@ -167,25 +202,32 @@ def _decide(
 
 def rivals(timing: Timing, effect: str) -> dict[str, float]:
     """Timing effects that explain as much as `effect` does, with what they cost."""
-    mine = timing.gains[effect]
+    mine = timing.gains["drift_alone" if effect == "clock_drift" else effect]
     if effect == "timestamp_skew" and 0.0 < timing.delay_s < ABOVE_NYQUIST * timing.sample_s:
         return {"bandwidth": 0.0}
-    pairs = {"timestamp_skew": "bandwidth", "bandwidth": "timestamp_skew"}
-    other = pairs.get(effect)
-    if other is None or timing.gains.get(other, 0.0) < mine - CLASS_COST:
+    if len(timing.effects) > 1 or (effect == "clock_drift" and timing.delay_s != 0.0):
         return {}
-    return {other: mine - timing.gains[other]}
+    gains = {
+        "timestamp_skew": timing.gains["timestamp_skew"],
+        "bandwidth": timing.gains["bandwidth"],
+        "clock_drift": timing.gains["drift_alone"],
+    }
+    return {name: mine - gain for name, gain in gains.items() if name != effect and gain > mine - CLASS_COST}
 
 
-def _delay_only(base: _Base, t: FloatArray, residual: FloatArray, ref: Reference) -> tuple[float, float]:
-    delay, gain = 0.0, 0.0
+def _one_shift(
+    base: _Base, t: FloatArray, residual: FloatArray, ref: Reference, shape: FloatArray
+) -> tuple[float, float, float]:
+    """(gain, size, its standard error) of one delay that goes as `shape` `(n,)`: constant, or growing with time."""
+    size, gain, error = 0.0, 0.0, np.inf
+    most = 0.5 / float(np.max(shape))
     for _ in range(MAX_STEPS):
-        slope = -ref.spline(np.clip(t - delay, t[0], t[-1]), 1)
-        gain, step, errors = base.gain([slope], residual - (ref.moved(t, delay) - ref.rate))
-        delay += float(np.clip(step[0], -0.5, 0.5))
-        if abs(step[0]) < 0.05 * errors[0]:
+        slope = -ref.spline(np.clip(t - size * shape, t[0], t[-1]), 1) * shape
+        gain, step, errors = base.gain([slope], residual - (ref.moved(t, size * shape) - ref.rate))
+        size, error = size + float(np.clip(step[0], -most, most)), float(errors[0])
+        if abs(step[0]) < 0.05 * error:
             break
-    return gain, delay
+    return gain, size, error
 
 
 def _bandwidth(base: _Base, residual: FloatArray, t: FloatArray, ref: Reference) -> tuple[float, float, int]:

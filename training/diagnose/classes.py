@@ -8,10 +8,11 @@ from training.diagnose.library import Group
 from training.diagnose.naming import (
     CLASS_COST,
     CLASS_SHARE,
+    COUSIN_SHARE,
     MOST_SHARE,
-    OTHER_FAMILY_SHARE,
     SHAPE_ALPHA,
-    SHARED_FAMILY_SHARE,
+    SIBLING_SHARE,
+    STRANGER_SHARE,
     Model,
     Part,
     build,
@@ -27,42 +28,23 @@ PREFER = 2.0
 SWAPS = 3
 TABLE = "compensation_table"
 PHASES = 12
-BIAS, SCALE, SHAPE, HEADING = "bias", "scale", "shape", "heading"
-FAMILY = {
-    **dict.fromkeys(
-        (
-            "bias_temperature",
-            "shupe",
-            "bias_hysteresis",
-            "polarization_ripple",
-            "compensation_table",
-            "bias_drift",
-            "bias_warmup",
-            "bias_step",
-            "auto_zero",
-        ),
-        BIAS,
-    ),
-    **dict.fromkeys(
-        (
-            "scale_temperature",
-            "thermal_lag",
-            "scale_hysteresis",
-            "scale_temperature_rate",
-            "source_ageing",
-            "scale_warmup",
-            "scale_step",
-        ),
-        SCALE,
-    ),
-    **dict.fromkeys(("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"), SHAPE),
-    **dict.fromkeys(("magnetic", "table_eccentricity"), HEADING),
+KINDS = {
+    ("bias", "static"): ("bias_temperature", "polarization_ripple", "compensation_table"),
+    ("bias", "dynamic"): ("shupe", "bias_hysteresis"),
+    ("bias", "time"): ("bias_drift", "bias_warmup", "bias_step", "auto_zero"),
+    ("scale", "static"): ("scale_temperature",),
+    ("scale", "dynamic"): ("thermal_lag", "scale_hysteresis", "scale_temperature_rate"),
+    ("scale", "time"): ("source_ageing", "scale_warmup", "scale_step"),
+    ("shape", "rate"): ("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
+    ("heading", "turn"): ("magnetic", "table_eccentricity"),
 }
+FAMILY = {effect: family for family, effects in KINDS.items() for effect in effects}
+LAGGING = frozenset({"thermal_lag", "scale_temperature_rate"})
 
 
-def family(effect: str) -> str:
-    """Effects of one family can mistake each other's shape errors for a second effect."""
-    return FAMILY.get(effect, effect)
+def family(effect: str) -> tuple[str, str]:
+    """(what it acts on, how it goes): effects alike in both mistake each other's shape errors for a second effect."""
+    return FAMILY.get(effect, (effect, effect))
 
 
 def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
@@ -83,7 +65,8 @@ def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
 def _too_weak(model: Model, strengths: list[float], i: int) -> bool:
     mine = family(model.parts[i].effect)
     for j, other in enumerate(model.parts):
-        share = SHARED_FAMILY_SHARE if family(other.effect) == mine else OTHER_FAMILY_SHARE
+        theirs = family(other.effect)
+        share = SIBLING_SHARE if theirs == mine else COUSIN_SHARE if theirs[0] == mine[0] else STRANGER_SHARE
         if j != i and strengths[i] < share * strengths[j]:
             return True
     return False
@@ -124,9 +107,21 @@ def with_classes(
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:
             close[TABLE], models[TABLE] = reference - score(table), table
+        close |= {effect: CLASS_COST for effect in _twins(part, library) - taken - set(close)}
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
         rivals += [(i, rival) for rival in models.values()]
     return Model(parts, model.frame, model.fit), rivals
+
+
+def _twins(part: Part, library: Library) -> set[str]:
+    """Effects that no recording of this kind tells from the part, whatever the fit says.
+
+    A coil that lags and a scale factor that follows its gradient relax alike; only a sensor at the coil parts them
+    (PHYSICS.md B4).
+    """
+    if part.effect not in LAGGING or "coil_tau_s" in part.points[0]:
+        return set()
+    return {group.effect for group in library.groups if group.effect in LAGGING} - {part.effect}
 
 
 def _table(domains: Sequence[Domain], without: Model, part: Part, library: Library) -> Model | None:

@@ -20,6 +20,8 @@ from training.diagnose.library import (
 )
 from training.diagnose.work import Work
 
+MOST_STOPS = 12
+
 
 def temperature_slope(work: Work) -> FloatArray:
     """dT/dt [K/s] of the smoothed temperature."""
@@ -42,9 +44,12 @@ def tau_grid(low: float, high: float, count: int) -> Callable[[Survey], list[Par
     return grid
 
 
-def order_grid(top: int) -> Callable[[Survey], list[Parameters]]:
-    """Polynomial orders 1…top."""
-    return lambda survey: [{"order": float(k)} for k in range(1, top + 1)]
+ORDERS = (1, 2, 3, 4, 6)  # a cubic serves all but the strongest: their next orders must not pass for another effect
+
+
+def order_grid(survey: Survey) -> list[Parameters]:
+    """Polynomial orders."""
+    return [{"order": float(k)} for k in ORDERS]
 
 
 def no_grid(survey: Survey) -> list[Parameters]:
@@ -72,7 +77,9 @@ def shupe_grid(survey: Survey) -> list[Parameters]:
 
 
 def lag_difference(work: Work, p: Parameters) -> FloatArray:
-    """LP_τ(T) − T [K], two poles with tau2_s."""
+    """LP_τ(T) − T [K], two poles with tau2_s; as measured where a sensor sits at the coil."""
+    if "coil_tau_s" in p:
+        return work.extra["coil"] - work.temp
     lagged = low_pass(work.temp, work.step_s, p["tau_s"])
     if p.get("tau2_s", 0.0) > 0.0:
         lagged = low_pass(lagged, work.step_s, p["tau2_s"])
@@ -88,6 +95,8 @@ def thermal_lag(work: Work, p: Parameters) -> list[FloatArray]:
 
 def lag_grid(survey: Survey) -> list[Parameters]:
     """Time constants, with and without a part in the bias."""
+    if survey.coil_tau_s > 0.0:
+        return [{"coil_tau_s": survey.coil_tau_s, "with_bias": b} for b in (0.0, 1.0)]
     return [{**tau, "with_bias": b} for b in (0.0, 1.0) for tau in tau_grid(50.0, 900.0, 11)(survey)]
 
 
@@ -227,6 +236,28 @@ def after_step(work: Work, p: Parameters) -> FloatArray:
     if work.index != int(p["recording"]):
         return np.zeros(len(work))
     return (np.arange(len(work)) >= p["at_share"] * len(work)).astype(float)
+
+
+def stop_grid(survey: Survey) -> list[Parameters]:
+    """The ends of the stops, at each of which firmware may have taken a new zero; one stop alone is a bias step."""
+    if len(survey.stops) < 2:
+        return []
+    kept = np.unique(np.linspace(0, len(survey.stops) - 1, MOST_STOPS).round().astype(int))
+    return [
+        {f"{key}_{j}": value for j, i in enumerate(kept) for key, value in zip(("of", "at_s"), survey.stops[i], strict=True)}
+    ]
+
+
+def after_stops(work: Work, p: Parameters) -> list[FloatArray]:
+    """1 from the end of each stop on, in its recording."""
+    return [
+        (work.t >= p[f"at_s_{j}"]).astype(float) * (work.index == int(p[f"of_{j}"])) for j in range(len(p) // 2)
+    ]
+
+
+def stop_names(p: Parameters) -> list[tuple[str, str]]:
+    """One coefficient per stop."""
+    return [(f"step_{j + 1}_dps", "dps") for j in range(len(p) // 2)]
 
 
 def ageing_columns(work: Work, p: Parameters) -> list[FloatArray]:

@@ -185,7 +185,7 @@ class Library:
         rows = np.empty((int(self.widths.sum()), len(d.work)), dtype=np.float32)
         for v in self.variants:
             columns = np.stack(v.group.columns(d.work, v.parameters), axis=1)
-            rows[v.first : v.first + v.width] = d.work.transform(columns).T
+            rows[v.first : v.first + v.width] = d.work.transform(columns.astype(np.float32)).T
         return rows
 
     def _own(self, i: int) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
-from training.diagnose.generic import HATS, VALUES, basis_of, knots_of
+from training.diagnose.generic import HATS, VALUES, basis_of, grain_of, knots_of
 from training.diagnose.library import Parameters
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
@@ -117,14 +117,16 @@ def _unknown_term(analysis: Analysis) -> Term | None:
 def _corners(pooled: np.ndarray, point: Parameters, sets: dict[float, np.ndarray], curved: bool) -> np.ndarray:
     """Knots on which a piecewise linear term follows the basis of `point`, rising, within the driver's range."""
     low, high = float(pooled.min()), float(pooled.max())
-    if "centre" not in point and not curved:
+    grain = grain_of(point)
+    if grain is None and not curved:
         return sets[point["hats"]]
-    even = np.linspace(low, high, CORNERS)
-    if "centre" not in point:
-        return np.union1d(even, sets[point["hats"]])
-    reach = SHARP_WIDTHS * point["width"]
-    around = np.linspace(point["centre"] - reach, point["centre"] + reach, CORNERS)
-    return np.union1d(even, around[(around > low) & (around < high)])
+    if grain is None:
+        return np.union1d(np.linspace(low, high, CORNERS), sets[point["hats"]])
+    if "cycle" in point:
+        return np.linspace(low, high, max(CORNERS, int(np.ceil((high - low) / grain)) + 1))
+    middle, reach = point.get("centre", point.get("bump", low)), SHARP_WIDTHS * grain
+    around = np.linspace(middle - reach, middle + reach, CORNERS)
+    return np.union1d(np.linspace(low, high, CORNERS), around[(around > low) & (around < high)])
 
 
 def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:

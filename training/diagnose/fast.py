@@ -16,6 +16,7 @@ BLOCKS = 1500
 MIN_IN_BLOCK = 8
 VARIANCE_Z = 6.0
 VARIANCE_SHARE = 0.05
+RANK_P = 1e-3  # that a few wild blocks are not all there is to it
 LINE_LOG_P = -16.0
 WEIGHT_GAIN = 20.0
 LSB_TO_NOISE = 2.5
@@ -81,7 +82,7 @@ def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float)
     if gain < WEIGHT_GAIN or share < VARIANCE_SHARE or rank.statistic < 0.0 or both[0][0] <= 0.0:
         return VarianceModel()
     model = VarianceModel(float(both[0][1] / both[0][0]), float(both[0][2] / both[0][0]))
-    if gain < VARIANCE_Z**2 or rank.pvalue > 1e-5:
+    if gain < VARIANCE_Z**2 or rank.pvalue > RANK_P:
         return model
     other = next(name for name in drivers if name != best)
     cost = (fits[other][1] - fits[best][1]) / max(1.0, fits[best][2])

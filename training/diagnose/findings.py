@@ -26,7 +26,7 @@ CERTAIN = 1e-12
 INTEGRITY = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error", "timing_jitter"})
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
-EARTH_DPS = 3.0 / 3600.0
+EARTH_DPS = 15.041 / 3600.0  # the most that the Earth's rotation can show, on a unit that lies flat
 
 
 def separate_by(name: str, others: Sequence[str]) -> str:

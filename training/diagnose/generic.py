@@ -48,8 +48,15 @@ VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
     "acceleration": (lambda k: k.extra["accel"], False, frozenset({"acceleration"})),
     "vibration": (lambda k: k.extra["vib2"], False, frozenset({"vibration"})),
 }
-BENDING = frozenset({"temperature", "rate", "rate_times_temperature"})
+BENDING = frozenset({"temperature", "rate", "rate_times_temperature", "speed"})
 TRANSITIONS = frozenset({"temperature", "rate_times_temperature"})
+BUMPED = frozenset({"temperature", "rate_times_temperature", "rate", "speed"})
+WAVING = frozenset({"temperature", "rate_times_temperature", "rate", "time"})
+CENTRES = 28
+TRANSITION_WIDTHS = (0.012, 0.03, 0.08)  # shares of the driver's range
+BUMP_WIDTHS = (0.013, 0.03, 0.07)
+MOST_CYCLES = 24.0  # over the driver's range; finer waves are beyond what a driver is known to
+ORDERS = range(1, 13)
 CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
     "heading": ("", frozenset({"heading"})),
     "rate_times_heading": ("w", frozenset({"heading", "rate"})),
@@ -99,45 +106,73 @@ def _hat_group(
         return [PPM * work.w * column for column in basis] if times_rate else basis
 
     def names(parameters: Parameters) -> list[tuple[str, str]]:
-        count = 1 if "centre" in parameters else len(sets[parameters["hats"]]) - 1
+        count = width_of(parameters) or len(sets[parameters["hats"]]) - 1
         return [(f"value_{i}", unit) for i in range(1, count + 1)]
 
-    return Group(
-        driver, lambda survey: [{"hats": n} for n in sets] + _sigmoids(driver, sets), columns, names, needs
-    )
+    variants = [{"hats": n} for n in sets] + _shapes(driver, sets)
+    return Group(driver, lambda survey: variants, columns, names, needs)
+
+
+def width_of(parameters: Parameters) -> int:
+    """How many columns a shape that is not made of hats has; 0 for hats."""
+    return 1 if "centre" in parameters else 2 if {"bump", "cycle"} & set(parameters) else 0
 
 
 def basis_of(values: FloatArray, sets: dict[float, FloatArray], parameters: Parameters) -> list[FloatArray]:
-    """The basis functions of one variant at `values`: hats, or one sigmoid (a transition at a value of the driver)."""
+    """The basis functions of one variant at `values`: hats, or one of the shapes that hats are too blunt for.
+
+    A transition at a value of the driver; a resonance there (even and odd part of a Lorentzian line, together any
+    Fano line); a wave along the driver (`cycle` is its period).
+    """
     if "centre" in parameters:
         return [0.5 * (1.0 + np.tanh((values - parameters["centre"]) / parameters["width"]))]
+    if "bump" in parameters:
+        x = (values - parameters["bump"]) / parameters["width"]
+        return [1.0 / (1.0 + x * x), x / (1.0 + x * x)]
+    if "cycle" in parameters:
+        phase = 2.0 * np.pi * values / parameters["cycle"]
+        return [np.cos(phase), np.sin(phase)]
     return hats(values, sets[parameters["hats"]])
 
 
-def _sigmoids(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
-    """Transitions across the driver's range, sharp to soft, for the temperature drivers."""
-    if driver not in TRANSITIONS:
-        return []
+def grain_of(parameters: Parameters) -> float | None:
+    """The finest detail [driver units] of a shape that is not made of hats; None for hats."""
+    if "cycle" in parameters:
+        return parameters["cycle"] / 16.0
+    return parameters.get("width")
+
+
+def _shapes(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
+    """Transitions, resonances and waves across the driver's range, sharp to soft and slow to fast."""
     knots = next(iter(sets.values()))
     span = float(knots[-1] - knots[0])
-    centres = np.linspace(knots[0] + 0.06 * span, knots[-1] - 0.06 * span, 28)
-    return [
-        {"hats": 0.0, "centre": float(c), "width": float(share * span)}
-        for c in centres
-        for share in (0.012, 0.03, 0.08)
-    ]
+    centres = np.linspace(knots[0] + 0.05 * span, knots[-1] - 0.05 * span, CENTRES)
+    found: list[Parameters] = []
+    for kind, drivers, widths in (
+        ("centre", TRANSITIONS, TRANSITION_WIDTHS),
+        ("bump", BUMPED, BUMP_WIDTHS),
+    ):
+        if driver in drivers:
+            found += [
+                {"hats": 0.0, kind: float(c), "width": float(share * span)} for share in widths for c in centres
+            ]
+    if driver in WAVING:
+        cycles = np.arange(1.5, MOST_CYCLES + 0.1, 0.5)
+        found += [{"hats": 0.0, "cycle": float(span / n)} for n in cycles]
+    return found
 
 
 def _cyclic_group(driver: str, prefix: str, needs: frozenset[str]) -> Group:
-    keys = [f"{prefix}{kind}{k}" for k in (1, 2) for kind in ("cos", "sin")]
-    return Group(
-        driver,
-        _one,
-        lambda work, p: [work.extra[key] for key in keys],
-        lambda p: [(k, "dps") for k in keys],
-        needs,
-    )
+    def columns(work: Work, parameters: Parameters) -> list[FloatArray]:
+        order = parameters["order"]
+        wanted = (1, 2) if order < 0.5 else (int(order),)
+        scale = PPM * work.full["w"] if prefix else 1.0
+        psi = work.full["psi"]
+        return [work.average(scale * wave(k * psi)) for k in wanted for wave in (np.cos, np.sin)]
 
+    def names(parameters: Parameters) -> list[tuple[str, str]]:
+        wanted = (1, 2) if parameters["order"] < 0.5 else (int(parameters["order"]),)
+        return [(f"{kind}{k}", "ppm" if prefix else "dps") for k in wanted for kind in ("cos", "sin")]
 
-def _one(survey: Survey) -> list[Parameters]:
-    return [{}]
+    variants: list[Parameters] = [{"order": float(k)} for k in (0, *ORDERS)]
+    return Group(driver, lambda survey: variants, columns, names, needs)

@@ -11,14 +11,14 @@ TIME, BOTH = frozenset({"clock"}), frozenset({"temperature", "rate"})
 GROUPS: tuple[Group, ...] = (
     Group(
         "bias_temperature",
-        c.order_grid(3),
+        c.order_grid,
         lambda k, p: c.powers(c.above_room(k), p["order"], 1.0),
         c.poly_names("b", "dps"),
         TEMP,
     ),
     Group(
         "scale_temperature",
-        c.order_grid(3),
+        c.order_grid,
         lambda k, p: [PPM * k.w * column for column in c.powers(c.above_room(k), p["order"], 1.0)],
         c.poly_names("s", "ppm"),
         BOTH,
@@ -130,6 +130,7 @@ GROUPS: tuple[Group, ...] = (
         TIME,
         ("at_share",),
     ),
+    Group("auto_zero", c.stop_grid, c.after_stops, c.stop_names, TIME | {"speed"}),
     Group(
         "scale_step",
         c.change_grid,

@@ -16,7 +16,8 @@ from training.diagnose.fast import (
 )
 from training.diagnose.integrity import check
 from training.diagnose.prepare import prepare
-from training.diagnose.reference import Reference, reference, unbiased
+from training.diagnose.orders import without_orders
+from training.diagnose.reference import Reference, cleared, reference, unbiased
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
 from training.diagnose.work import FloatArray, Work
@@ -77,22 +78,29 @@ def take_in(
         return Intake(recording, checked, residual, simulated, None, Timing(moved=truth), [], work, truth)
     t = columns["t_s"]
     filled = _bridged(residual, valid)
-    smoothed = reference(t, truth, filled)
-    ref = unbiased(smoothed, smoothed.rate, filled)
-    found = align(columns, filled, ref, valid) if timing is None else timing
-    fast: list[FastFinding] = []
+    temp = columns.get("temp_degC")
+
+    def clear(values: FloatArray) -> FloatArray:
+        return cleared(values, truth, temp)
+
+    smoothed = reference(t, truth, clear(filled))
+    ref = unbiased(smoothed, clear(filled))
+    found = align(columns, filled, ref, valid) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
+    tested = without_orders(clear(left), found.moved, columns, valid)
     quantized = quantization_finding(columns["rate_dps"], left, valid)
-    line = line_finding(left, found.moved, t, valid)
+    line = line_finding(tested, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]
-    variance = VarianceModel() if quantized is not None else variance_model(left, found.moved, t, valid)
-    if variance.rate + variance.slope > 0.0 and timing is None:
-        found = align(columns, filled, ref, valid, variance.spread(found.moved, t))
+    variance = VarianceModel() if quantized is not None else variance_model(tested, found.moved, t, valid)
+    spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
+    if spread is not None:
+        ref = unbiased(smoothed, clear(left), spread)
+        found = align(columns, filled, ref, valid, spread) if timing is None else timing.applied(ref)
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving = found.moved
     if found.effects:  # without the timing error in it the residual shows the reference's noise more clearly
-        driving = found.moved + unbiased(smoothed, found.moved, left).rate - ref.rate
+        driving = found.moved + unbiased(smoothed, clear(left), spread).rate - ref.rate
     work = prepare(
         recording.name,
         columns,
@@ -104,8 +112,8 @@ def take_in(
     )
     lsb = quantized.parameters["lsb_dps"][0] if quantized is not None else 0.0
     work.rate_noise_dps = max(ref.left_dps, lsb)
-    if variance.rate + variance.slope > 0.0:
-        work.spread = np.sqrt(work.average(variance.spread(found.moved, t) ** 2))
+    if spread is not None:
+        work.spread = np.sqrt(work.average(spread**2))
     return Intake(recording, checked, residual, simulated, ref, found, fast, work, driving)
 
 

@@ -19,7 +19,11 @@ CLEAR_OF_NOISE = 12.0  # a bend of the rate must be this much wider than the ref
 
 @dataclass(frozen=True)
 class Survey:
-    """What all recordings together excite; grids are the same for every recording."""
+    """What all recordings together excite; grids are the same for every recording.
+
+    `coil_tau_s` is the lag of a sensor at the coil behind the reported temperature (0 without one); `stops` are
+    (recording, end of a standstill [s]).
+    """
 
     duration_s: float
     step_s: float
@@ -32,6 +36,8 @@ class Survey:
     points: bool
     recordings: int = 1
     rate_noise_dps: float = 0.0
+    coil_tau_s: float = 0.0
+    stops: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtcomp.errors import RequestError
+from training.diagnose.align import common
 from training.diagnose.checked import Checked
 from training.diagnose.classes import demoted, preferred
 from training.diagnose.design import Domain, Frame, Library, domain
@@ -122,12 +123,13 @@ def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:
     if model is None:
         return
     if heldout:
+        shared = common([intake.timing for intake in analysis.intakes])
         for recording in heldout:
             checked = checked_recording(recording, settings.static)
             if checked.unusable:
                 analysis.unusable.append((recording, checked))
                 continue
-            analysis.heldout.append(take_in(recording, checked, analysis.simulation, settings))
+            analysis.heldout.append(take_in(recording, checked, analysis.simulation, settings, shared))
     if analysis.heldout:
         for intake in analysis.heldout:
             wave = predicted(model, intake, settings.power_on_known)

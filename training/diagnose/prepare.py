@@ -9,6 +9,7 @@ from training.diagnose.work import FloatArray, Work, block_average, smooth
 MAX_BLOCKS = 40_000
 MIN_STEP_S = 0.05
 GRAVITY = 9.80665
+STANDING_MPS, STOP_S = 0.1, 4.0
 SMOOTHING_S = ((0.03, 8.0), (0.2, 25.0), (np.inf, 40.0))  # (grain [K] below which, width [s])
 
 
@@ -54,6 +55,8 @@ def prepare(
         full={"w": true_rate, "w_max": np.asarray([float(np.max(np.abs(true_rate)))])},
         spread=np.ones(int(keep.sum())),
     )
+    if "coil_temp_degC" in columns:
+        work.extra["coil"] = _temperature(columns["coil_temp_degC"], t, average, step)[keep]
     _motion(work, columns, true_rate)
     return work
 
@@ -122,7 +125,7 @@ def _motion(work: Work, columns: dict[str, FloatArray], w: FloatArray) -> None:
         heading = columns.get("heading_deg")
         if heading is None:
             heading = np.concatenate([[0.0], np.cumsum(np.diff(columns["t_s"]) * 0.5 * (w[1:] + w[:-1]))])
-        psi = np.deg2rad(heading)
+        psi = work.full["psi"] = np.deg2rad(heading)
         for k in (1, 2):
             for kind, function in (("cos", np.cos), ("sin", np.sin)):
                 wave = function(k * psi)
@@ -141,8 +144,28 @@ def _motion(work: Work, columns: dict[str, FloatArray], w: FloatArray) -> None:
         work.extra["roll_rate"] = np.gradient(low_pass(work.extra["accel"], work.step_s, 0.3), work.step_s)
     if "speed_mps" in columns:
         work.extra["speed"] = work.average(columns["speed_mps"])
+        work.full["stops"] = _stops(columns["t_s"], columns["speed_mps"])
     if "vibration_rms_mps2" in columns:
         work.extra["vib2"] = work.average(columns["vibration_rms_mps2"] ** 2)
+
+
+def _stops(t: FloatArray, speed: FloatArray) -> FloatArray:
+    """When every standstill of some seconds ended [s]."""
+    still = np.nan_to_num(speed, nan=np.inf) < STANDING_MPS
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    ends = [min(b, len(t) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if t[b - 1] - t[a] > STOP_S]
+    return t[ends]
+
+
+def _coil_tau(works: list[Work]) -> float:
+    """Time constant [s] by which a sensor at the coil follows the reported temperature; 0 without one."""
+    if not all("coil" in work.extra for work in works):
+        return 0.0
+    taus = np.geomspace(5.0, 2000.0, 40)
+    misfit = [
+        sum(float(np.sum((low_pass(w.temp, w.step_s, tau) - w.extra["coil"]) ** 2)) for w in works) for tau in taus
+    ]
+    return float(taus[int(np.argmin(misfit))])
 
 
 def survey(works: list[Work]) -> Survey:
@@ -172,4 +195,6 @@ def survey(works: list[Work]) -> Survey:
         points=works[0].points,
         recordings=len(works),
         rate_noise_dps=max(w.rate_noise_dps for w in works),
+        coil_tau_s=_coil_tau(works),
+        stops=tuple((float(i), float(end)) for i, w in enumerate(works) for end in w.full.get("stops", ())),
     )

@@ -50,25 +50,40 @@ def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference
     return Reference(t, rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
 
 
-def unbiased(ref: Reference, moved: FloatArray, residual: FloatArray) -> Reference:
+def unbiased(ref: Reference, residual: FloatArray, spread: FloatArray | None = None) -> Reference:
     """A smoothed reference with the noise that is left in it estimated from the residual `(n,)` and taken out.
 
-    The residual is n − ν (gyro noise less reference noise) where the channel shows the rate `moved` `(n,)`.  Wiener's
-    estimate of ν from it, filtered by S_ν/S_residual at every frequency, leaves a rate whose error is uncorrelated
-    with the residual: regressors made of it, its derivatives too, cannot find the reference's noise in the residual.
-    The estimate is bounded, so that a large effect stays.
+    The residual, cleared of what it has of known shapes (`cleared`), is n − ν: gyro noise less reference noise.
+    Wiener's estimate of ν from it, filtered by S_ν/S_residual at every frequency, leaves a rate whose error is
+    uncorrelated with the residual: regressors made of it, its derivatives too, cannot find the reference's noise in
+    the residual.  `spread` `(n,)` is the residual's relative deviation where that follows the motion.  The estimate is
+    bounded, so that a large effect stays.
     """
     if ref.noise_dps <= 0.0:
         return ref
-    design = np.stack([np.ones(len(moved)), moved], axis=1)
-    left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
-    spectrum = dct(left)
-    edges = band_edges(len(left))
+    level = np.ones(len(residual)) if spread is None else spread
+    spectrum = dct(residual / level)
+    edges = band_edges(len(residual))
     power = np.repeat(np.add.reduceat(spectrum**2, edges[:-1]) / np.diff(edges), np.diff(edges))
     share = np.minimum(ref.noise_dps**2 / np.maximum(power, 1e-300), 1.2)
     bound = LARGEST * ref.noise_dps
-    rate = ref.rate + np.clip(inverse_dct(spectrum * share * ref.gain), -bound, bound)
+    rate = ref.rate + np.clip(inverse_dct(spectrum * share * ref.gain) / level, -bound, bound)
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
+
+
+def cleared(residual: FloatArray, rate: FloatArray, temp: FloatArray | None) -> FloatArray:
+    """Residual `(n,)` without the plain static shapes (offset, scale factor, both over temperature, curvature in rate).
+
+    Before anything is named, the tests of noise must not take a large static error for it.
+    """
+    top = max(float(np.max(np.abs(rate))), 1e-300)
+    u = rate / top
+    columns = [np.ones(len(rate)), u, np.abs(u), u**3]
+    if temp is not None and np.ptp(temp) > 0.0:
+        h = (temp - temp.mean()) / np.ptp(temp)
+        columns += [h, h**2, h**3, u * h, u * h**2, u * h**3, u**3 * h]
+    design = np.stack(columns, axis=1)
+    return residual - design @ np.linalg.lstsq(design.T @ design, design.T @ residual, rcond=1e-10)[0]
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:

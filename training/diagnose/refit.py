@@ -22,6 +22,7 @@ UNITS = {
     "phase_K": "K",
     "at_share": "1",
     "tau2_s": "s",
+    "coil_tau_s": "s",
     "t0_s": "s",
 }
 ACTIVE = 0.3

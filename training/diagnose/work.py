@@ -61,7 +61,7 @@ class Work:
 
     def transform(self, columns: FloatArray) -> FloatArray:
         """Orthonormal transform of columns `(n, k)` in which the noise is independent from row to row."""
-        weighted = columns / self.spread.reshape(-1, 1)
+        weighted = columns / self.spread.reshape(-1, 1).astype(columns.dtype)
         if self.points:
             return _soak_rotation(weighted, self.w, self._labels())
         return dct(weighted)
