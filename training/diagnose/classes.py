@@ -8,11 +8,10 @@ from training.diagnose.library import Group
 from training.diagnose.naming import (
     CLASS_COST,
     CLASS_SHARE,
-    COUSIN_SHARE,
+    LEAST_SHARE,
+    MOST_CHI2,
     MOST_SHARE,
     SHAPE_ALPHA,
-    SIBLING_SHARE,
-    STRANGER_SHARE,
     Model,
     Part,
     build,
@@ -66,8 +65,8 @@ def _too_weak(model: Model, strengths: list[float], i: int) -> bool:
     mine = family(model.parts[i].effect)
     for j, other in enumerate(model.parts):
         theirs = family(other.effect)
-        share = SIBLING_SHARE if theirs == mine else COUSIN_SHARE if theirs[0] == mine[0] else STRANGER_SHARE
-        if j != i and strengths[i] < share * strengths[j]:
+        alike = sum(a == b for a, b in zip(mine, theirs, strict=True)) if theirs[0] == mine[0] else 0
+        if j != i and strengths[i] < min(LEAST_SHARE[alike] * strengths[j], MOST_CHI2[alike]):
             return True
     return False
 

@@ -25,7 +25,7 @@ MOST_STOPS = 12
 
 def temperature_slope(work: Work) -> FloatArray:
     """dT/dt [K/s] of the smoothed temperature."""
-    return np.gradient(work.temp, work.step_s)
+    return np.gradient(work.slow_temp, work.step_s)
 
 
 def above_room(work: Work) -> FloatArray:
@@ -64,8 +64,8 @@ def powers(base: FloatArray, order: float, unit: float) -> list[FloatArray]:
 
 def shupe_columns(work: Work, p: Parameters) -> list[FloatArray]:
     """LP_τ(dT/dt) and its rate of change."""
-    lagged = low_pass(work.temp, work.step_s, p["tau_s"])
-    first = (work.temp - lagged) / p["tau_s"]
+    lagged = low_pass(work.slow_temp, work.step_s, p["tau_s"])
+    first = (work.slow_temp - lagged) / p["tau_s"]
     second = (temperature_slope(work) - first) / p["tau_s"]
     return [first, second] if p.get("order", 2.0) > 1.5 else [first]
 
@@ -123,8 +123,8 @@ def loop_columns(work: Work, p: Parameters) -> list[FloatArray]:
 
 def scale_rate(work: Work, p: Parameters) -> list[FloatArray]:
     """Rate times LP_τ(dT/dt)."""
-    lagged = low_pass(work.temp, work.step_s, p["tau_s"])
-    return [PPM * work.w * (work.temp - lagged) / p["tau_s"]]
+    lagged = low_pass(work.slow_temp, work.step_s, p["tau_s"])
+    return [PPM * work.w * (work.slow_temp - lagged) / p["tau_s"]]
 
 
 def nonlinearity_grid(survey: Survey) -> list[Parameters]:
@@ -239,12 +239,15 @@ def after_step(work: Work, p: Parameters) -> FloatArray:
 
 
 def stop_grid(survey: Survey) -> list[Parameters]:
-    """The ends of the stops, at each of which firmware may have taken a new zero; one stop alone is a bias step."""
-    if len(survey.stops) < 2:
-        return []
-    kept = np.unique(np.linspace(0, len(survey.stops) - 1, MOST_STOPS).round().astype(int))
+    """The ends of the stops, at each of which firmware may have taken a new zero; one stop alone is a bias step.
+
+    Many stops are dealt out to several points, which the search may all take.
+    """
+    chunks = max(1, -(-len(survey.stops) // MOST_STOPS))
     return [
-        {f"{key}_{j}": value for j, i in enumerate(kept) for key, value in zip(("of", "at_s"), survey.stops[i], strict=True)}
+        {"chunk": float(i)} | {f"{k}_{j}": v for j, stop in enumerate(part) for k, v in zip(("of", "at_s"), stop, strict=True)}
+        for i, part in enumerate(survey.stops[i::chunks] for i in range(chunks))
+        if len(part) > 1
     ]
 
 

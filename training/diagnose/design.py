@@ -119,28 +119,28 @@ class Frame:
 
 
 @kernel
-def own_grams(rows, edges, firsts, widths, out):
-    """X_b'X_b of every variant, packed `(bands, variants, widest, widest)` in `out`."""
+def own_grams(rows, edges, firsts, widths, places, out):
+    """X_b'X_b of every variant, its width² numbers from `places` on, in `out` `(bands, sum of width²)`."""
     for b in range(len(edges) - 1):
         for v in range(len(firsts)):
-            f, k = firsts[v], widths[v]
+            f, k, at = firsts[v], widths[v], places[v]
             for i in range(k):
                 for j in range(i + 1):
                     total = 0.0
                     for row in range(edges[b], edges[b + 1]):
                         total += rows[f + i, row] * rows[f + j, row]
-                    out[b, v, i, j] = total
-                    out[b, v, j, i] = total
+                    out[b, at + i * k + j] = total
+                    out[b, at + j * k + i] = total
 
 
 @kernel
 def scan_these(
-    base, cross, own, target, counts, firsts, phi, a, q, widths, starts, rounds, inner, variants, out
+    base, cross, own, target, counts, firsts, phi, a, q, widths, starts, places, rounds, inner, variants, out
 ):
     """Log-likelihood of [nuisance | chosen | variant] for the listed variants, put at their places in `out`.
 
     `base` (bands, k+1, k+1) over [nuisance | chosen | target]; `cross` (bands, M, k) library × [nuisance | chosen];
-    `target` (bands, M) library × target; `own` packed variant Grams.
+    `target` (bands, M) library × target; `own` the variants' Grams from `places` on.
     """
     n_bands, k, _ = base.shape
     k -= 1
@@ -162,7 +162,7 @@ def scan_these(
                 grams[b, k + c, m - 1] = target[b, starts[v] + c]
                 grams[b, m - 1, k + c] = target[b, starts[v] + c]
                 for d in range(p):
-                    grams[b, k + c, k + d] = own[b, v, c, d]
+                    grams[b, k + c, k + d] = own[b, places[v] + c * p + d]
         out[v] = profile(grams, counts, firsts, phi, a.copy(), q, rounds, inner)[0]
 
 
@@ -175,6 +175,7 @@ class Library:
         self.variants = _variants(groups, survey)
         self.starts = np.asarray([v.first for v in self.variants], dtype=np.int64)
         self.widths = np.asarray([v.width for v in self.variants], dtype=np.int64)
+        self.places = np.cumsum(self.widths**2) - self.widths**2
         effects = [v.group.effect for v in self.variants]
         self.members = [np.flatnonzero([e == name for e in effects]) for name in dict.fromkeys(effects)]
         with ThreadPoolExecutor(THREADS) as pool:
@@ -190,9 +191,8 @@ class Library:
 
     def _own(self, i: int) -> FloatArray:
         edges = self.domains[i].edges
-        widest = int(self.widths.max())
-        out = np.zeros((len(edges) - 1, len(self.variants), widest, widest))
-        own_grams(self.rows[i], edges, self.starts, self.widths, out)
+        out = np.zeros((len(edges) - 1, int(np.sum(self.widths**2))))
+        own_grams(self.rows[i], edges, self.starts, self.widths, self.places, out)
         return out
 
     def cross(self, right: Sequence[FloatArray]) -> FloatArray:
@@ -209,7 +209,7 @@ class Library:
         """Log-likelihood of every variant added to the frame, starting from the noise of `fit`."""
         base = frame.grams(column)
         out = np.full(len(self.variants), -np.inf)
-        chosen = self._promising(_quick_gains(frame, fit, base, cross, self.own, target, self.starts, self.widths))
+        chosen = self._promising(self._quick_gains(frame, fit, base, cross, target))
         arguments = (
             base,
             cross,
@@ -222,12 +222,36 @@ class Library:
 
         def run(part: NDArray[np.int64]) -> None:
             scan_these(
-                *arguments, fit.weights, frame.q, self.widths, self.starts, ROUNDS, INNER, part, out
+                *arguments, fit.weights, frame.q, self.widths, self.starts, self.places, ROUNDS, INNER, part, out
             )
 
         with ThreadPoolExecutor(THREADS) as pool:
             list(pool.map(run, np.array_split(chosen, 2 * THREADS)))
         return out
+
+    def _quick_gains(
+        self, frame: Frame, fit: Fit, base: FloatArray, cross: FloatArray, target: FloatArray
+    ) -> FloatArray:
+        """2 Δ log-likelihood of every variant under the noise of `fit`, not refitted: a weighted sum over bands each.
+
+        Arrays as for `scan_these`.  Nuisances are projected out per recording, chosen columns over all of them.
+        """
+        q, k = frame.q, base.shape[1] - 1
+        sums = []
+        for low, high in pairwise(frame.firsts):
+            weight = 1.0 / fit.spectrum[low:high]
+            sums.append([np.tensordot(weight, part[low:high], 1) for part in (base, cross, self.own, target)])
+        gains = np.empty(len(self.variants))
+        for width in np.unique(self.widths):
+            members = np.flatnonzero(self.widths == width)
+            rows = self.starts[members][:, None] + np.arange(width)
+            squares = self.places[members][:, None] + np.arange(width**2)
+            matrix, right = _projected(sums, rows, squares, q, k)
+            scale = 1.0 / np.sqrt(np.maximum(np.einsum("vii->vi", matrix), 1e-200))
+            matrix = matrix * scale[:, :, None] * scale[:, None, :] + 1e-6 * np.eye(width)
+            right = right * scale
+            gains[members] = np.sum(right * np.linalg.solve(matrix, right[..., None])[..., 0], axis=1)
+        return gains
 
     def _promising(self, quick: FloatArray) -> NDArray[np.int64]:
         """Indices of the `FINALISTS` best variants of every group, by their gain under the noise as it is."""
@@ -236,45 +260,24 @@ class Library:
         return np.concatenate(best)
 
 
-def _quick_gains(
-    frame: Frame,
-    fit: Fit,
-    base: FloatArray,
-    cross: FloatArray,
-    own: FloatArray,
-    target: FloatArray,
-    starts: NDArray[np.int64],
-    widths: NDArray[np.int64],
-) -> FloatArray:
-    """2 Δ log-likelihood of every variant under the noise of `fit`, not refitted: one weighted sum over bands each.
-
-    Arrays as for `scan_these`.  Nuisances are projected out per recording, chosen columns over all of them.
-    """
-    q, k = frame.q, base.shape[1] - 1
-    rows = starts[:, None] + np.minimum(np.arange(own.shape[2])[None, :], widths[:, None] - 1)
-    inside = np.arange(own.shape[2])[None, :] < widths[:, None]
-    shared, matrix = np.zeros((k - q, k - q)), np.zeros(own.shape[1:])
-    right, bridge = np.zeros(rows.shape), np.zeros((*rows.shape, k - q))
-    ahead = np.zeros(k - q)
-    for low, high in pairwise(frame.firsts):
-        weight = 1.0 / fit.spectrum[low:high]
-        normal = np.tensordot(weight, base[low:high], 1)
-        across = np.tensordot(weight, cross[low:high], 1)[rows]
+def _projected(
+    sums: Sequence[Sequence[FloatArray]], rows: NDArray[np.int64], squares: NDArray[np.int64], q: int, k: int
+) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of variants of one width: (matrices, right sides), nuisance and chosen columns projected out."""
+    count, width = rows.shape
+    matrix, right = np.zeros((count, width, width)), np.zeros((count, width))
+    bridge, shared, ahead = np.zeros((count, width, k - q)), np.zeros((k - q, k - q)), np.zeros(k - q)
+    for normal, across, own, target in sums:
         inverse = np.linalg.pinv(normal[:q, :q], rcond=1e-12, hermitian=True)
-        nuisance = across[..., :q] @ inverse
-        matrix += np.tensordot(weight, own[low:high], 1) - nuisance @ across[..., :q].swapaxes(1, 2)
-        right += (weight @ target[low:high])[rows] - nuisance @ normal[:q, k]
-        bridge += across[..., q:] - nuisance @ normal[:q, q:k]
+        here = across[rows]
+        nuisance = here[..., :q] @ inverse
+        matrix += own[squares].reshape(count, width, width) - nuisance @ here[..., :q].swapaxes(1, 2)
+        right += target[rows] - nuisance @ normal[:q, k]
+        bridge += here[..., q:] - nuisance @ normal[:q, q:k]
         shared += normal[q:k, q:k] - normal[q:k, :q] @ inverse @ normal[:q, q:k]
         ahead += normal[q:k, k] - normal[q:k, :q] @ inverse @ normal[:q, k]
     solved = bridge @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
-    matrix -= solved @ bridge.swapaxes(1, 2)
-    right -= solved @ ahead
-    scale = np.sqrt(np.maximum(np.einsum("vii->vi", matrix), 1e-300))
-    matrix = np.where(inside[:, :, None] & inside[:, None, :], matrix, 0.0) / (scale[:, :, None] * scale[:, None, :])
-    right = np.where(inside, right / scale, 0.0)
-    matrix += 1e-6 * np.eye(matrix.shape[1]) + np.where(inside, 0.0, 1.0)[:, :, None] * np.eye(matrix.shape[1])
-    return np.sum(right * np.linalg.solve(matrix, right[..., None])[..., 0], axis=1)
+    return matrix - solved @ bridge.swapaxes(1, 2), right - solved @ ahead
 
 
 def _variants(groups: Sequence[Group], survey: object) -> list[Variant]:

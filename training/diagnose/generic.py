@@ -11,7 +11,7 @@ import numpy as np
 from training.diagnose.library import PPM, Group, Parameters, Survey
 from training.diagnose.work import FloatArray, Work
 
-HATS = (9, 21)  # a smooth function, and one that can bend within a few percent of the range
+HATS = (9, 21, 41)  # a smooth function, and ones that can bend within a few percent of the range
 Driver = Callable[[Work], FloatArray]
 
 
@@ -56,6 +56,8 @@ CENTRES = 28
 TRANSITION_WIDTHS = (0.012, 0.03, 0.08)  # shares of the driver's range
 BUMP_WIDTHS = (0.013, 0.03, 0.07)
 MOST_CYCLES = 24.0  # over the driver's range; finer waves are beyond what a driver is known to
+CYCLE_STEP = 0.5
+HARMONICS = {"time": 2.0}  # what switches on and off by a clock of its own is no sine
 ORDERS = range(1, 13)
 CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
     "heading": ("", frozenset({"heading"})),
@@ -115,7 +117,9 @@ def _hat_group(
 
 def width_of(parameters: Parameters) -> int:
     """How many columns a shape that is not made of hats has; 0 for hats."""
-    return 1 if "centre" in parameters else 2 if {"bump", "cycle"} & set(parameters) else 0
+    if "cycle" in parameters:
+        return 2 * int(parameters["harmonics"])
+    return 1 if "centre" in parameters else 2 if "bump" in parameters else 0
 
 
 def basis_of(values: FloatArray, sets: dict[float, FloatArray], parameters: Parameters) -> list[FloatArray]:
@@ -131,7 +135,8 @@ def basis_of(values: FloatArray, sets: dict[float, FloatArray], parameters: Para
         return [1.0 / (1.0 + x * x), x / (1.0 + x * x)]
     if "cycle" in parameters:
         phase = 2.0 * np.pi * values / parameters["cycle"]
-        return [np.cos(phase), np.sin(phase)]
+        orders = range(1, 1 + int(parameters["harmonics"]))
+        return [wave(k * phase) for k in orders for wave in (np.cos, np.sin)]
     return hats(values, sets[parameters["hats"]])
 
 
@@ -157,8 +162,9 @@ def _shapes(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
                 {"hats": 0.0, kind: float(c), "width": float(share * span)} for share in widths for c in centres
             ]
     if driver in WAVING:
-        cycles = np.arange(1.5, MOST_CYCLES + 0.1, 0.5)
-        found += [{"hats": 0.0, "cycle": float(span / n)} for n in cycles]
+        harmonics = HARMONICS.get(driver, 1.0)
+        cycles = np.arange(1.5, MOST_CYCLES + 0.1, CYCLE_STEP / harmonics)
+        found += [{"hats": 0.0, "cycle": float(span / n), "harmonics": harmonics} for n in cycles]
     return found
 
 

@@ -81,13 +81,13 @@ def take_in(
     temp = columns.get("temp_degC")
 
     def clear(values: FloatArray) -> FloatArray:
-        return cleared(values, truth, temp)
+        return without_orders(cleared(values, truth, temp), truth, columns, valid)
 
     smoothed = reference(t, truth, clear(filled))
     ref = unbiased(smoothed, clear(filled))
     found = align(columns, filled, ref, valid) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
-    tested = without_orders(clear(left), found.moved, columns, valid)
+    tested = clear(left)
     quantized = quantization_finding(columns["rate_dps"], left, valid)
     line = line_finding(tested, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]

@@ -19,7 +19,8 @@ MAX_SHAPES = 2
 CLASS_COST = 10.0
 CLASS_SHARE = 0.012  # a group's shape is that much unlike the true one, so a rival may cost that share more
 MOST_SHARE = 40.0
-SIBLING_SHARE, COUSIN_SHARE, STRANGER_SHARE = 0.05, 0.012, 0.001  # of a stronger effect's χ², below which it is shape
+LEAST_SHARE = (0.001, 0.012, 0.05)  # of a stronger effect's χ², below which a weak one is taken for its shape error:
+MOST_CHI2 = (100.0, 400.0, np.inf)  # acting on something else; on the same (bias, scale factor); and going alike too
 STRONGER = 10.0
 ONE_SHAPE = frozenset({"dead_band"})
 BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
@@ -183,6 +184,8 @@ def _differs(new: Parameters, points: list[Parameters]) -> bool:
     """Whether a further point of a group's grid is a different shape and not the one that is there already."""
 
     def close(old: Parameters) -> bool:
+        if new.get("chunk") != old.get("chunk"):
+            return False
         return all(abs(new[k] - old[k]) <= 0.2 * abs(old[k]) + 1e-9 for k in new if k in old)
 
     return not any(close(old) for old in points)

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -110,12 +111,17 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     generic = Library(domains, [g for g in generic_groups(works) if g.needs <= found.has], found)
     analysis.located, generic_null = locate(generic, domains, base, settings.seed + 1)
     progress("name")
-    model = forward(library, domains, null)
-    model, analysis.demoted = demoted(model, domains)
-    analysis.model = preferred(library, domains, null, model)
+    names = partial(_names, library, null)
+    model, analysis.demoted = names(domains)
     analysis.model, analysis.unknown = unexplained(
-        generic, domains, analysis.model, generic_null, analysis.demoted
+        generic, domains, model, generic_null, analysis.demoted, lambda beside: names(beside)[0]
     )
+
+
+def _names(library: Library, null: Null, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
+    """(the named model with its classes, names demoted on the way)."""
+    model, dropped = demoted(forward(library, domains, null), domains)
+    return preferred(library, domains, null, model), dropped
 
 
 def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:

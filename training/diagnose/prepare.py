@@ -10,7 +10,7 @@ MAX_BLOCKS = 40_000
 MIN_STEP_S = 0.05
 GRAVITY = 9.80665
 STANDING_MPS, STOP_S = 0.1, 4.0
-SMOOTHING_S = ((0.03, 8.0), (0.2, 25.0), (np.inf, 40.0))  # (grain [K] below which, width [s])
+SMOOTHING_S = ((0.03, 1.5, 8.0), (0.2, 4.0, 25.0), (np.inf, 20.0, 40.0))  # (grain [K] below which, widths [s])
 
 
 def prepare(
@@ -40,13 +40,14 @@ def prepare(
     def kept(values: FloatArray) -> FloatArray:
         return average(values)[keep]
 
-    temp = _temperature(columns.get("temp_degC"), t, average, step)
+    temp, slow = _temperature(columns.get("temp_degC"), t, average, step)
     work = Work(
         name=name,
         t=grid[keep],
         y=raw[keep],
         w=kept(true_rate),
         temp=temp[keep],
+        slow_temp=slow[keep],
         step_s=step,
         points=False,
         power_on_known=power_on_known,
@@ -56,30 +57,36 @@ def prepare(
         spread=np.ones(int(keep.sum())),
     )
     if "coil_temp_degC" in columns:
-        work.extra["coil"] = _temperature(columns["coil_temp_degC"], t, average, step)[keep]
+        work.extra["coil"] = _temperature(columns["coil_temp_degC"], t, average, step)[0][keep]
     _motion(work, columns, true_rate)
     return work
 
 
-def _temperature(temp: FloatArray | None, t: FloatArray, average, step: float) -> FloatArray:
-    """Block temperature, gaps bridged, smoothed against the sensor's steps and noise."""
+def _temperature(
+    temp: FloatArray | None, t: FloatArray, average, step: float
+) -> tuple[FloatArray, FloatArray]:
+    """Block temperature, gaps bridged: smoothed lightly for its value, more for its slope.
+
+    A wide filter rounds off the corners of a ramp, which a large scale error over temperature would show.
+    """
     if temp is None:
-        mean = average(np.zeros(len(t)))
-        return np.full(len(mean), 25.0)
+        level = np.full(len(average(np.zeros(len(t)))), 25.0)
+        return level, level
     mean = average(temp)
     index = np.arange(len(mean))
     good = np.isfinite(mean)
     mean = np.interp(index, index[good], mean[good])
-    return smooth(mean, step, _smoothing_s(temp))
+    light, wide = smoothing_s(temp)
+    return smooth(mean, step, light), smooth(mean, step, wide)
 
 
-def _smoothing_s(temp: FloatArray) -> float:
-    """Width of the temperature's smoothing [s]: its codes' steps and noise must not drown its slope."""
+def smoothing_s(temp: FloatArray) -> tuple[float, float]:
+    """Widths [s] of the temperature's smoothing, for its value and for its slope, by its codes' steps and noise."""
     good = temp[np.isfinite(temp)]
     changes = np.abs(np.diff(good))
     lsb = float(np.min(changes[changes > 0.0], initial=np.inf)) if changes.size else 0.0
     grain = max(lsb if np.isfinite(lsb) else 0.0, 2.0 * float(np.median(changes)) if changes.size else 0.0)
-    return next((width for limit, width in SMOOTHING_S if grain < limit), SMOOTHING_S[-1][1])
+    return next((light, wide) for limit, light, wide in SMOOTHING_S if grain < limit)
 
 
 def _points(
@@ -93,6 +100,7 @@ def _points(
         y=y[keep],
         w=w[keep],
         temp=temp,
+        slow_temp=temp,
         step_s=1.0,
         points=True,
         power_on_known=False,

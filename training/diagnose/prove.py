@@ -172,6 +172,7 @@ def _part_of(work: Work, rows: np.ndarray) -> Work:
         y=work.y[rows],
         w=work.w[rows],
         temp=work.temp[rows],
+        slow_temp=work.slow_temp[rows],
         spread=work.spread[rows],
         clusters=clusters,
         extra={k: v[rows] for k, v in work.extra.items()},

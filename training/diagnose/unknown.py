@@ -1,11 +1,11 @@
 """Locate before naming, and catch after naming what no catalogue entry carries."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from training.diagnose.design import Domain, Library
+from training.diagnose.design import Domain, Library, domain
 from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
 from training.diagnose.naming import (
@@ -17,7 +17,7 @@ from training.diagnose.naming import (
     residual_scan,
     score,
 )
-from training.diagnose.search import EXTRA_COLUMN, Null, surrogate_null
+from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, surrogate_null
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
@@ -34,6 +34,9 @@ TIME_LIKE = frozenset({"time", "rate_times_time", "time_since_power_on"})
 TIME_ALPHA = (
     1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
 )
+CYCLE_ALPHA = 1e-5  # but it keeps no beat
+STANDS_OUT = 0.1  # share of the strongest name's χ² from which something without a name is a finding beside it
+BESIDE_ALPHA = 1e-6
 RATE_DRIVERS = frozenset(
     {
         "rate",
@@ -76,12 +79,18 @@ def locate(generic: Library, domains: Sequence[Domain], base: Model, seed: int) 
 
 
 def unexplained(
-    generic: Library, domains: Sequence[Domain], model: Model, null: Null, names: list[str]
+    generic: Library,
+    domains: Sequence[Domain],
+    model: Model,
+    null: Null,
+    names: list[str],
+    name_again: Callable[[list[Domain]], Model],
 ) -> tuple[Model, Unknown | None]:
     """Check the remainder of the named model against every driver.
 
     Nothing named and something there: unknown.  Named, but a smooth function of a driver adds a good part of what
-    the name explains: the name is withdrawn.  Less: a remainder.
+    the name explains: the name is withdrawn.  Something on another driver, and strong: the names are looked for again
+    beside it (`name_again` names on domains that have it as a nuisance).  Less: a remainder.
     """
     for scale_like in (False, True):
         several = [
@@ -103,7 +112,7 @@ def unexplained(
     strict = {
         d: c
         for d, c in found.items()
-        if null.p_value(c.excess) < (TIME_ALPHA if d in TIME_LIKE else REMAINDER_ALPHA)
+        if null.p_value(c.excess) < _alpha(d, c)
     }
     if not strict:
         return model, None
@@ -121,7 +130,20 @@ def unexplained(
         withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
         if withdrawn is not None:
             return withdrawn
+    if p_value < BESIDE_ALPHA and strength > STANDS_OUT * max(p.chi2 for p in model.parts):
+        beside = [domain(d.work, group.columns(d.work, top.variant.parameters)) for d in domains]
+        parts = name_again(beside).parts
+        again = build(parts, domains, model.fit.weights)
+        again = Model(parts, again.frame, again.fit)
+        strength = partial_chi2(build([*parts, part], domains, model.fit.weights))[-1]
+        return again, Unknown(driver, part, p_value, strength, [], named=True)
     return model, Unknown(driver, part, p_value, strength, [], named=False)
+
+
+def _alpha(driver: str, candidate: Candidate) -> float:
+    if driver not in TIME_LIKE:
+        return REMAINDER_ALPHA
+    return CYCLE_ALPHA if "cycle" in candidate.variant.parameters else TIME_ALPHA
 
 
 def _withdrawn(

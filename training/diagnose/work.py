@@ -31,8 +31,9 @@ def inverse_dct(values: FloatArray) -> FloatArray:
 class Work:
     """One recording ready for regression; arrays have shape `(n,)`, one value per block or soaked point.
 
-    `t` [s] since power-on (row number for points), `y` [dps] measured − simulated, `w` [dps] true rate, `temp`
-    [degC] smoothed, `spread` noise scale per block (1 where the noise is the same everywhere).
+    `t` [s] since power-on (row number for points), `y` [dps] measured − simulated, `w` [dps] true rate, `temp` and
+    `slow_temp` [degC] smoothed enough for the temperature's value and for its slope, `spread` noise scale per block (1
+    where the noise is the same everywhere).
     """
 
     name: str
@@ -40,6 +41,7 @@ class Work:
     y: FloatArray
     w: FloatArray
     temp: FloatArray
+    slow_temp: FloatArray
     step_s: float
     points: bool
     power_on_known: bool
