@@ -101,7 +101,8 @@ def with_classes(
             ):
                 continue
             rival = _rival(library, domains, null, without, candidate, len(part.points))
-            if reference - score(rival) < (STATIC_PRICE if _contains(part, candidate) else allowed):
+            most = allowed if family(effect)[0] == family(part.effect)[0] else CLASS_COST
+            if reference - score(rival) < (STATIC_PRICE if _contains(part, candidate) else most):
                 close[effect], models[effect] = reference - score(rival), rival
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:

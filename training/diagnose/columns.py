@@ -21,6 +21,7 @@ from training.diagnose.library import (
 from training.diagnose.work import Work
 
 MOST_STOPS = 12
+KNEES = (0.0, 0.006, 0.02, 0.06)  # roundness of a saturation's knee, of the highest rate
 
 
 def temperature_slope(work: Work) -> FloatArray:
@@ -180,15 +181,25 @@ def dead_band(work: Work, p: Parameters) -> list[FloatArray]:
 
 
 def knee_grid(survey: Survey) -> list[Parameters]:
-    """Knees clear of the highest rate."""
+    """Knees clear of the highest rate, hard and soft."""
     top = survey.rate_max * (1.0 - 1e-4) - CLEAR_OF_NOISE * survey.rate_noise_dps
-    return [{"limit_dps": knee} for knee in survey.rate_quantiles if knee < top]
+    return [
+        {"limit_dps": knee, "soft_dps": share * survey.rate_max}
+        for share in KNEES
+        for knee in survey.rate_quantiles
+        if knee < top
+    ]
 
 
 def beyond_knee(work: Work, p: Parameters) -> list[FloatArray]:
-    """What lies beyond the knee, taken away."""
-    knee = p["limit_dps"]
-    return [work.per_block(lambda w: -np.sign(w) * np.maximum(0.0, np.abs(w) - knee))]
+    """What lies beyond the knee, taken away: a hinge, or one with a round corner (softplus) of `soft_dps`."""
+    knee, soft = p["limit_dps"], p.get("soft_dps", 0.0)
+
+    def lost(w: FloatArray) -> FloatArray:
+        over = np.abs(w) - knee
+        return -np.sign(w) * (soft * np.logaddexp(0.0, over / soft) if soft > 0.0 else np.maximum(0.0, over))
+
+    return [work.per_block(lost)]
 
 
 def ripple_grid(survey: Survey) -> list[Parameters]:

@@ -167,8 +167,8 @@ def _fast(analysis: Analysis) -> list[Finding]:
 
 
 def _coefficients(analysis: Analysis) -> list[Finding]:
-    """Offset and scale factor beyond their tolerances."""
-    found = []
+    """Offset and scale factor beyond their tolerances, each told by the recording that shows it most."""
+    found: dict[str, Finding] = {}
     settings = analysis.settings
     for row, intake in zip(alignments(analysis), analysis.intakes, strict=True):
         turning = float(np.sqrt(np.mean((intake.work.w - intake.work.w.mean()) ** 2)))
@@ -177,20 +177,21 @@ def _coefficients(analysis: Analysis) -> list[Finding]:
             ("scale_error", "ppm", row.scale_ppm, settings.scale_tol_ppm, 1e-6 * turning),
         )
         for name, unit, value, tolerance, size in pairs:
-            if abs(value.value) > tolerance and not value.ci95[0] <= 0.0 <= value.ci95[1]:
-                found.append(
-                    _finding(
-                        name,
-                        [],
-                        where=Where([[] for _ in analysis.intakes], []),
-                        parameters={unit: Parameter(value.value, unit, value.ci95)},
-                        rms_dps=abs(value.value) * size,
-                        p_value=CERTAIN,
-                        text=f"{effect(name).title} of {intake.recording.name}",
-                        strength=1.0,
-                    )
-                )
-    return found
+            if abs(value.value) <= tolerance or value.ci95[0] <= 0.0 <= value.ci95[1]:
+                continue
+            if name in found and abs(found[name].parameters[unit].value) >= abs(value.value):
+                continue
+            found[name] = _finding(
+                name,
+                [],
+                where=Where([[] for _ in analysis.intakes], []),
+                parameters={unit: Parameter(value.value, unit, value.ci95)},
+                rms_dps=abs(value.value) * size,
+                p_value=CERTAIN,
+                text=f"{effect(name).title} of {intake.recording.name}",
+                strength=1.0,
+            )
+    return list(found.values())
 
 
 def _physics(analysis: Analysis) -> list[Finding]:
@@ -257,9 +258,10 @@ def alignments(analysis: Analysis) -> list[Alignment]:
         work = intake.work
         design = np.stack([np.ones(len(work)), *([work.w] if np.ptp(work.w) > 0 else [])], axis=1)
         left = work.y.copy()
-        if analysis.model is not None:
-            for part, where in zip(analysis.model.parts, analysis.model.slices(), strict=True):
-                left -= waveform(part, analysis.model.fit.beta[where], work)
+        told = analysis.everything()
+        if told is not None:
+            for part, where in zip(told.parts, told.slices(), strict=True):
+                left -= waveform(part, told.fit.beta[where], work)
         solution = np.linalg.lstsq(design, left, rcond=None)[0]
         errors = _alignment_errors(analysis, i, design)
         scale = (1e6 * solution[1], 1e6 * errors[1]) if len(solution) > 1 else (0.0, 0.0)

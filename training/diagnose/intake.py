@@ -94,7 +94,7 @@ def take_in(
     variance = VarianceModel() if quantized is not None else variance_model(tested, found.moved, t, valid)
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
     if spread is not None:
-        ref = unbiased(smoothed, clear(left), spread)
+        ref = unbiased(smoothed, tested, spread)
         found = align(columns, filled, ref, valid, spread) if timing is None else timing.applied(ref)
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
@@ -115,6 +115,20 @@ def take_in(
     if spread is not None:
         work.spread = np.sqrt(work.average(spread**2))
     return Intake(recording, checked, residual, simulated, ref, found, fast, work, driving)
+
+
+def fast_findings(intake: Intake, wave: FloatArray) -> list[FastFinding]:
+    """What full-rate samples show once the named errors `wave` `(n,)` [dps] are taken from them."""
+    columns, valid, rate = intake.checked.columns, intake.checked.valid, intake.rate
+    left = _bridged(intake.residual, valid) - intake.timing_change - wave
+    truth = np.nan_to_num(columns["ref_rate_dps"])
+    tested = without_orders(cleared(left, truth, columns.get("temp_degC")), truth, columns, valid)
+    found = (
+        quantization_finding(columns["rate_dps"], left, valid),
+        line_finding(tested, rate, columns["t_s"], valid),
+        variance_model(tested, rate, columns["t_s"], valid).finding,
+    )
+    return [f for f in found if f is not None]
 
 
 def _bridged(values: FloatArray, valid: np.ndarray) -> FloatArray:

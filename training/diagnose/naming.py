@@ -22,6 +22,7 @@ MOST_SHARE = 40.0
 LEAST_SHARE = (0.001, 0.012, 0.05)  # of a stronger effect's χ², below which a weak one is taken for its shape error:
 MOST_CHI2 = (100.0, 400.0, np.inf)  # acting on something else; on the same (bias, scale factor); and going alike too
 STRONGER = 10.0
+GIANT = 2000.0
 ONE_SHAPE = frozenset({"dead_band"})
 BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
 LONGER = 1.35
@@ -77,7 +78,10 @@ def build(parts: Sequence[Part], domains: Sequence[Domain], weights: FloatArray 
         blocks = [part_columns(part, d) for part in parts]
         chosen.append(np.concatenate(blocks, axis=1) if blocks else np.empty((len(d.target), 0)))
     frame = Frame(domains, chosen)
-    fit = frame.fit(frame.grams(), weights)
+    grams = frame.grams()
+    fit = frame.fit(grams)
+    if weights is not None:  # from known weights it is closer, but a shape that they have at nothing stays at nothing
+        fit = max(fit, frame.fit(grams, weights), key=lambda f: f.loglik)
     return Model(list(parts), frame, fit)
 
 
@@ -102,7 +106,8 @@ def residual_scan(library: Library, model: Model, null: Null) -> dict[str, Candi
 def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: FloatArray) -> list[Part]:
     """Improve the non-linear parameters of the last point of one part by a bounded simplex search."""
     part = parts[index]
-    names = [n for n in part.group.continuous if n in part.points[-1]]
+    names = [n for n in part.group.continuous if part.points[-1].get(n, 0.0) != 0.0 or n in ADDITIVE]
+    names = [n for n in names if n in part.points[-1]]
     if not names:
         return parts
     others = [p for i, p in enumerate(parts) if i != index]
@@ -206,6 +211,20 @@ def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
         barred |= forbidden
         model = _chosen(library, domains, null, barred)
     return model
+
+
+def leading(library: Library, domains: Sequence[Domain], null: Null) -> Model | None:
+    """The model of what is so large that nothing can be said of the noise before it is taken out; None if nothing is."""
+    model, found = build([], domains), None
+    for _ in range(MAX_EFFECTS):
+        scanned = residual_scan(library, model, null)
+        top = max(scanned.values(), key=lambda c: c.excess)
+        parts, index = _added(model.parts, top, 0.0)
+        larger = build(refine(parts, index, domains, model.fit.weights), domains)
+        if 2.0 * (larger.fit.loglik - model.fit.loglik) < GIANT:
+            break
+        model = found = larger
+    return found
 
 
 def _forbidden(part: Part, model: Model, where: slice) -> bool:

@@ -14,9 +14,9 @@ from training.diagnose.classes import demoted, preferred
 from training.diagnose.design import Domain, Frame, Library, domain
 from training.diagnose.generic import generic_groups
 from training.diagnose.groups import GROUPS
-from training.diagnose.intake import Intake, checked_recording, take_in
+from training.diagnose.intake import Intake, checked_recording, fast_findings, take_in
 from training.diagnose.library import Survey
-from training.diagnose.naming import Model, build, forward
+from training.diagnose.naming import Model, build, forward, leading
 from training.diagnose.prepare import survey
 from training.diagnose.prove import Proof, folded, placebo, predicted, prove
 from training.diagnose.search import Null, surrogate_null
@@ -107,15 +107,32 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     null = analysis.null = surrogate_null(
         library, domains, base.fit, settings.seed, count=settings.surrogates
     )
+    lead = leading(library, domains, null)
+    if lead is not None:  # beside something this large the first noise was none
+        null = analysis.null = surrogate_null(
+            library, domains, lead.fit, settings.seed, count=settings.surrogates
+        )
     progress("locate")
     generic = Library(domains, [g for g in generic_groups(works) if g.needs <= found.has], found)
-    analysis.located, generic_null = locate(generic, domains, base, settings.seed + 1)
+    analysis.located, generic_null = locate(generic, domains, base, lead or base, settings.seed + 1)
     progress("name")
     names = partial(_names, library, null)
     model, analysis.demoted = names(domains)
     analysis.model, analysis.unknown = unexplained(
         generic, domains, model, generic_null, analysis.demoted, lambda beside: names(beside)[0]
     )
+    for intake in analysis.intakes:
+        _confirm(intake, analysis)
+
+
+def _confirm(intake: Intake, analysis: Analysis) -> None:
+    """Keep what was said of the noise only if it still shows without what was named: a large error passes for noise."""
+    model = analysis.everything()
+    if model is None or not model.parts or not intake.fast:
+        return
+    wave = predicted(model, intake, analysis.settings.power_on_known) - intake.timing_change
+    again = {f.effect for f in fast_findings(intake, wave)}
+    intake.fast = [f for f in intake.fast if f.effect in again]
 
 
 def _names(library: Library, null: Null, domains: Sequence[Domain]) -> tuple[Model, list[str]]:

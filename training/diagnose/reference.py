@@ -78,10 +78,10 @@ def cleared(residual: FloatArray, rate: FloatArray, temp: FloatArray | None) -> 
     """
     top = max(float(np.max(np.abs(rate))), 1e-300)
     u = rate / top
-    columns = [np.ones(len(rate)), u, np.abs(u), u**3]
+    columns = [np.ones(len(rate)), u, np.abs(u), u**3, u**5, u**7]
     if temp is not None and np.ptp(temp) > 0.0:
         h = (temp - temp.mean()) / np.ptp(temp)
-        columns += [h, h**2, h**3, u * h, u * h**2, u * h**3, u**3 * h]
+        columns += [h, h**2, h**3, *(u * h**k for k in range(1, 6)), u**3 * h]
     design = np.stack(columns, axis=1)
     return residual - design @ np.linalg.lstsq(design.T @ design, design.T @ residual, rcond=1e-10)[0]
 

@@ -19,6 +19,7 @@ UNITS = {
     "chirp_per_K": "1/K",
     "lock_dps": "dps",
     "limit_dps": "dps",
+    "soft_dps": "dps",
     "phase_K": "K",
     "at_share": "1",
     "tau2_s": "s",

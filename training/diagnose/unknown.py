@@ -70,9 +70,11 @@ class Unknown:
     named: bool
 
 
-def locate(generic: Library, domains: Sequence[Domain], base: Model, seed: int) -> tuple[list[Located], Null]:
-    """Rank drivers by what any smooth function of them explains of the null residual."""
-    null = surrogate_null(generic, domains, base.fit, seed, count=GENERIC_SURROGATES)
+def locate(
+    generic: Library, domains: Sequence[Domain], base: Model, noise: Model, seed: int
+) -> tuple[list[Located], Null]:
+    """Rank drivers by what any smooth function of them explains of the null residual; `noise` has the noise's fit."""
+    null = surrogate_null(generic, domains, noise.fit, seed, count=GENERIC_SURROGATES)
     found = residual_scan(generic, base, null)
     rows = [Located(d, max(c.statistic, 0.0), c.excess, null.p_value(c.excess)) for d, c in found.items()]
     return sorted(rows, key=lambda row: -row.excess * (TIME_WEIGHT if row.driver in TIME_LIKE else 1.0)), null
