@@ -41,7 +41,10 @@ def analysis_of(planted: np.ndarray, seed=41) -> tuple[Analysis, Recording]:
     cases = []
     for k, name in enumerate(("seen", "unseen")):
         case = recording(seed + k)
-        columns = {**case.columns, "rate_dps": case["ref_rate_dps"] + planted + 0.1 * (case["rate_dps"] - case["ref_rate_dps"])}
+        columns = {
+            **case.columns,
+            "rate_dps": case["ref_rate_dps"] + planted + 0.1 * (case["rate_dps"] - case["ref_rate_dps"]),
+        }
         cases.append(Recording(name, columns))
     intake = take_in(cases[0], checked_recording(cases[0], False), Simulation("ideal"), SETTINGS)
     found = Analysis(SETTINGS, Simulation("ideal"), [intake], [], survey([intake.work]))

@@ -26,6 +26,7 @@ ABOVE_NYQUIST = 0.55  # samples: a shorter delay may be a filter whose corner no
 MAX_STEPS = 6
 CORNERS = 12
 MAX_ROWS = 1_500_000
+RATE_KNOTS, TIME_KNOTS = 9, 9
 
 
 @dataclass
@@ -43,6 +44,27 @@ class Timing:
     moved: FloatArray = field(default_factory=lambda: np.empty(0))
     change_rms_dps: float = 0.0
     sample_s: float = 0.0
+
+
+def quick_part(t: FloatArray, residual: FloatArray, rate: FloatArray, valid: np.ndarray) -> FloatArray:
+    """The residual [dps] without what is no timing: any function of the rate, and a scale factor that changes slowly.
+
+    A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²), which is small but significant.
+    """
+    if np.ptp(rate) < 0.5:
+        return residual
+    knots = np.unique(np.quantile(rate, np.linspace(0.0, 1.0, RATE_KNOTS)))
+    over_rate = _hats(rate, knots)
+    over_time = [rate * h for h in _hats(t, np.linspace(t[0], t[-1], TIME_KNOTS))]
+    design = np.stack([*over_rate, *over_time], axis=1)
+    rows = design[valid]
+    gram = rows.T @ rows
+    weights = np.linalg.lstsq(gram, rows.T @ residual[valid], rcond=1e-12)[0]
+    return residual - design @ weights
+
+
+def _hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:
+    return [np.interp(values, knots, row) for row in np.eye(len(knots))]
 
 
 def align(
@@ -137,7 +159,7 @@ def _decide(
     timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference
 ) -> None:
     """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
-    only, delay = _delay_only(base, t, residual, ref)
+    only, delay, delay_se = _delay_only(base, t, residual, ref)
     bandwidth, corner, poles = _bandwidth(base, residual, t, ref)
     both = timing.gains["both"]
     drifts = both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se
@@ -151,7 +173,7 @@ def _decide(
         if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.02:
             timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}
         return
-    timing.delay_s, timing.clock_ppm = delay, 0.0
+    timing.delay_s, timing.delay_se, timing.clock_ppm = delay, delay_se, 0.0
     if max(only, bandwidth) < SIGNIFICANT:
         timing.delay_s = 0.0
         timing.moved = ref.rate
@@ -177,15 +199,18 @@ def rivals(timing: Timing, effect: str) -> dict[str, float]:
     return {other: mine - timing.gains[other]}
 
 
-def _delay_only(base: _Base, t: FloatArray, residual: FloatArray, ref: Reference) -> tuple[float, float]:
-    delay, gain = 0.0, 0.0
+def _delay_only(
+    base: _Base, t: FloatArray, residual: FloatArray, ref: Reference
+) -> tuple[float, float, float]:
+    """Fit of a delay alone: (2 Δ log-likelihood, delay [s], its standard error [s])."""
+    delay, gain, errors = 0.0, 0.0, np.full(1, np.nan)
     for _ in range(MAX_STEPS):
         slope = -ref.spline(np.clip(t - delay, t[0], t[-1]), 1)
         gain, step, errors = base.gain([slope], residual - (ref.moved(t, delay) - ref.rate))
         delay += float(np.clip(step[0], -0.5, 0.5))
         if abs(step[0]) < 0.05 * errors[0]:
             break
-    return gain, delay
+    return gain, delay, float(errors[0])
 
 
 def _bandwidth(base: _Base, residual: FloatArray, t: FloatArray, ref: Reference) -> tuple[float, float, int]:

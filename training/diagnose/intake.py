@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcomp.errors import RequestError
-from training.diagnose.align import Timing, align
+from training.diagnose.align import Timing, align, quick_part
 from training.diagnose.checked import Checked
 from training.diagnose.fast import (
     FastFinding,
@@ -78,16 +78,17 @@ def take_in(
     t = columns["t_s"]
     filled = _bridged(residual, valid)
     ref = reference(t, truth, filled)
-    found = align(columns, filled, ref, valid) if timing is None else timing
+    quick = quick_part(t, filled, ref.rate, valid)
+    found = align(columns, quick, ref, valid) if timing is None else timing
     fast: list[FastFinding] = []
-    left = filled - (found.moved - ref.rate)
+    left = quick - (found.moved - ref.rate)
     quantized = quantization_finding(columns["rate_dps"], left, valid)
     line = line_finding(left, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]
     variance = VarianceModel() if quantized is not None else variance_model(left, found.moved, t, valid)
     if variance.rate + variance.slope > 0.0 and timing is None:
-        found = align(columns, filled, ref, valid, variance.spread(found.moved, t))
-        left = filled - (found.moved - ref.rate)
+        found = align(columns, quick, ref, valid, variance.spread(found.moved, t))
+    left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving, noise = unbiased(ref, found.moved, left)
     work = prepare(

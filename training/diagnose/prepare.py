@@ -67,10 +67,10 @@ def _temperature(temp: FloatArray | None, t: FloatArray, average, step: float) -
     index = np.arange(len(mean))
     good = np.isfinite(mean)
     mean = np.interp(index, index[good], mean[good])
-    return smooth(mean, step, _smoothing_s(temp))
+    return smooth(mean, step, smoothing_s(temp))
 
 
-def _smoothing_s(temp: FloatArray) -> float:
+def smoothing_s(temp: FloatArray) -> float:
     """Width of the temperature's smoothing [s]: its codes' steps and noise must not drown its slope."""
     good = temp[np.isfinite(temp)]
     changes = np.abs(np.diff(good))

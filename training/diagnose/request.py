@@ -125,16 +125,12 @@ def _temperatures(recordings: Sequence[Recording]) -> None:
 
 def _common(recordings: Sequence[Recording]) -> list[Recording]:
     """Leave out the drivers that not every recording has: an effect of theirs could not be carried over."""
-    spare = [
-        n for n in DRIVERS if any(n in r for r in recordings) and not all(n in r for r in recordings)
-    ]
+    spare = [n for n in DRIVERS if any(n in r for r in recordings) and not all(n in r for r in recordings)]
     if not spare:
         return list(recordings)
     logger.warning("not used, since not every recording has it: %s", ", ".join(spare))
     return [
-        Recording(
-            r.name, {k: v for k, v in r.columns.items() if k not in spare}, r.path, r.sha256, r.ignored
-        )
+        Recording(r.name, {k: v for k, v in r.columns.items() if k not in spare}, r.path, r.sha256, r.ignored)
         for r in recordings
     ]
 
