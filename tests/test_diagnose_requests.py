@@ -226,9 +226,8 @@ def test_results_in_a_folder_replace_their_namesakes_and_nothing_else(tmp_path):
     assert (out / "mine.txt").read_text() == "kept"
     assert (out / "diagnosis.json").read_text() == "fresh"
     assert [p.name for p in (out / "heldout").iterdir()] == ["new.csv"]
-    with pytest.raises(ZeroDivisionError), staged(out) as folder:
-        (folder / "diagnosis.json").write_text("half")
-        raise ZeroDivisionError
+    with pytest.raises(FileNotFoundError), staged(out) as folder:
+        (folder / "diagnosis.json").write_text("half") and (folder / "none.csv").unlink()
     assert (out / "diagnosis.json").read_text() == "fresh"
     assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "heldout", "mine.txt"]
 

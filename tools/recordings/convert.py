@@ -41,9 +41,10 @@ def chamber_table(path: Path) -> Columns:
 
 
 def log_frames(path: Path) -> Frames:
-    """All frames of a log of any format, in the order of reception."""
-    parts = list(read_log(path))
-    return np.concatenate(parts) if parts else np.empty(0, FRAME)
+    """All frames of a log of any format in the order of their times, to the whole µs (MF4 holds float seconds)."""
+    frames = np.concatenate([np.empty(0, FRAME), *read_log(path)])
+    frames["t_ns"] = (frames["t_ns"] + 500) // 1000 * 1000
+    return frames[np.argsort(frames["t_ns"], kind="stable")]
 
 
 def css_tables(pieces: Sequence[Frames], dbc: Path) -> dict[str, Columns]:
