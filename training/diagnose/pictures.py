@@ -86,9 +86,14 @@ def driver_unit(name: str) -> str:
     return UNITS.get(name.removeprefix("rate_times_"), "1")
 
 
+def driver_word(name: str) -> str:
+    """What a driver's values are; of a rate-times driver the second factor."""
+    return name.removeprefix("rate_times_").replace("_", " ")
+
+
 def driver_label(name: str) -> str:
     """A driver's axis title."""
-    return f"{name.removeprefix('rate_times_').replace('_', ' ')} [{driver_unit(name)}]"
+    return f"{driver_word(name)} [{driver_unit(name)}]"
 
 
 def driver_plots(analysis: Analysis, diagnosis: Diagnosis) -> str | None:
@@ -195,7 +200,7 @@ def regime_text(findings: Sequence[Finding]) -> list[str]:
     """The regimes of every finding in words."""
     return [
         " and ".join(
-            f"{r.driver.removeprefix('rate_times_').replace('_', ' ')} {r.low:.3g} … {r.high:.3g} {driver_unit(r.driver)}"
+            f"{driver_word(r.driver)} {r.low:.3g} … {r.high:.3g} {driver_unit(r.driver)}"
             for r in f.where.regimes[:4]
         )
         for f in findings
