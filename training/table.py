@@ -2,16 +2,20 @@
 
 import gzip
 import hashlib
+import io
 import logging
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rtcomp.atomic import write_atomically
 from rtcomp.errors import RequestError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 logger = logging.getLogger(__name__)
 
@@ -196,21 +200,22 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     if not path.name.lower().endswith(TABLES):
         raise RequestError(f"cannot write {path}: a recording's name ends in {' or '.join(TABLES)}")
     table = pa.table({name: recording.columns[name] for name in COLUMNS if name in recording.columns})
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise RequestError(
-            f"cannot write {path}: {error.strerror}; give a file in a folder that exists"
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            if path.suffix == ".parquet":
-                pyarrow.parquet.write_table(table, file)
-            elif path.suffix == ".gz":
-                with gzip.GzipFile(fileobj=file, mode="wb", mtime=0) as packed:
-                    pyarrow.csv.write_csv(table, packed)
-            else:
-                pyarrow.csv.write_csv(table, file)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    if path.suffix == ".gz":
+        write_gzipped_csv(table, path)
+        return
+    sink = pa.BufferOutputStream()
+    if path.suffix == ".parquet":
+        pyarrow.parquet.write_table(table, sink)
+    else:
+        pyarrow.csv.write_csv(table, sink)
+    write_atomically(path, sink.getvalue().to_pybytes())
+
+
+def write_gzipped_csv(table: "pa.Table", path: Path) -> None:
+    """Write an Arrow table as a gzipped CSV, the same bytes for the same table; whole or not at all."""
+    import pyarrow.csv
+
+    sink = io.BytesIO()
+    with gzip.GzipFile(fileobj=sink, mode="wb", compresslevel=6, mtime=0) as packed:
+        pyarrow.csv.write_csv(table, packed)
+    write_atomically(path, sink.getvalue())

@@ -25,7 +25,6 @@ CLASS_COST = 10.0
 SIMPLER = 2.0
 ABOVE_NYQUIST = 0.55  # samples: a shorter delay may be a filter whose corner no sample shows
 MAX_STEPS = 6
-BENDS, LARGE = 12, 500.0
 CORNERS = 12
 MAX_ROWS = 1_500_000
 
@@ -88,9 +87,6 @@ def align(
         work.spread = np.sqrt(work.average(spread**2))
     span = t - 0.5 * (t[0] + t[-1])
     base = _Base(work, _static_nuisance(work))
-    bent = _Base(work, [*_static_nuisance(work), *_bends(work)])
-    if 2.0 * (bent.null.loglik - base.null.loglik) > LARGE:
-        base = bent
     slope = ref.spline(t, 1)
     first = base.gain([slope, span * slope])
     timing = _moved_fit(base, work, t, span, residual, ref)
@@ -111,13 +107,6 @@ def _static_nuisance(work: Work) -> list[FloatArray]:
     h = work.temp - ROOM_DEGC
     top = work.full["w_max"][0]
     return [work.w * h, work.per_block(lambda w: (w / top) ** 3), work.per_block(np.abs)]
-
-
-def _bends(work: Work) -> list[FloatArray]:
-    """Any smooth function of the rate, for a recording whose rate error is large (a saturation, an unlinearised sine)."""
-    knots = np.unique(np.quantile(work.full["w"], np.linspace(0.0, 1.0, BENDS)))
-    unit = np.eye(len(knots))
-    return [work.per_block(lambda w, i=i: np.interp(w, knots, unit[i])) for i in range(1, len(knots) - 1)]
 
 
 class _Base:

@@ -16,11 +16,12 @@ from training.diagnose.generic import HATS, VALUES, basis_of, grain_of, knots_of
 from training.diagnose.library import Parameters
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
+from training.diagnose.prepare import smoothing_s
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
 
-RATE_TAU_S = 40.0
 CORNERS = 65  # knots of an empirical term that is not piecewise linear in its driver
+LEAST_SMOOTHING_S = 8.0
 SHARP_WIDTHS = 4.0  # half-widths of a transition that get knots of their own
 LN_TAU_S = {2.0: 600.0, 3.0: 3600.0}  # of the logarithms among the shapes of ageing
 STATIC = {"b1_dps_per_K": "bias_temperature", "s1_ppm_per_K": "scale_temperature"}
@@ -44,6 +45,8 @@ def terms_of(analysis: Analysis, diagnosis: Diagnosis) -> tuple[list[Term], list
     model = analysis.model
     for part, where in zip(model.parts, model.slices(), strict=True) if model is not None else ():
         found = _part_terms(part, model.fit.beta[where]) if model is not None and part.effect in TERMS else []
+        if part.effect == "shupe":
+            found = [Term(t.effect, dict(_smoothed(_numbers(t), _smoothing(analysis)))) for t in found]
         terms += found
         left += [] if found else [part.effect]
     if analysis.unknown is not None and analysis.unknown.named:
@@ -87,6 +90,19 @@ def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
     return terms
 
 
+def _smoothing(analysis: Analysis) -> float:
+    """Time constant [s] that takes the temperature's steps out of its slope, as the diagnosis smoothed it."""
+    temps = [i.checked.columns["temp_degC"] for i in analysis.intakes if "temp_degC" in i.checked.columns]
+    return max((smoothing_s(temp) for temp in temps), default=LEAST_SMOOTHING_S)
+
+
+def _smoothed(shupe: dict[str, float], width_s: float) -> dict[str, float]:
+    """A Shupe term whose slope is not of the raw temperature's steps; both lags together stay what they were."""
+    if not shupe.get("c2_dps_s2_per_K") or shupe["tau_s"] <= 2.0 * width_s:
+        return shupe
+    return {**shupe, "tau_s": shupe["tau_s"] - width_s, "smooth_s": width_s}
+
+
 def _unknown_term(analysis: Analysis) -> Term | None:
     """The empirical model as a piecewise linear function of its driver; None for a driver the bus does not know."""
     unknown, model = analysis.unknown, analysis.model
@@ -110,11 +126,13 @@ def _unknown_term(analysis: Analysis) -> Term | None:
         "values": values.tolist(),  # °/s, or ppm of the rate
     }
     if driver == "temperature_rate":
-        parameters["tau_s"] = RATE_TAU_S
+        parameters["tau_s"] = _smoothing(analysis)
     return Term("unknown", parameters)
 
 
-def _corners(pooled: np.ndarray, point: Parameters, sets: dict[float, np.ndarray], curved: bool) -> np.ndarray:
+def _corners(
+    pooled: np.ndarray, point: Parameters, sets: dict[float, np.ndarray], curved: bool
+) -> np.ndarray:
     """Knots on which a piecewise linear term follows the basis of `point`, rising, within the driver's range."""
     low, high = float(pooled.min()), float(pooled.max())
     grain = grain_of(point)
@@ -158,6 +176,10 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
         "adds_to_simulation": analysis.simulation.kind,
     }
     save_model(new_model(**fields), path)
+
+
+def _numbers(term: Term) -> dict[str, float]:
+    return {k: float(v) for k, v in term.parameters.items() if isinstance(v, int | float)}
 
 
 def _plain(term: Term) -> dict[str, Any]:

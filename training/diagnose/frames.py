@@ -1,10 +1,12 @@
 """Frozen and dropped frames, from the codes, the frame counter and the time stamps."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from training.diagnose.checked import Checked, Fault
 from training.diagnose.work import FloatArray
 
+IntArray = NDArray[np.int64]
 PAUSE_S = 5.0
 LONG_RUN = 1e-9
 RARE = 0.02  # repeats rarer than this are not the codes' coarseness
@@ -26,16 +28,12 @@ def check_frozen(result: Checked) -> None:
     jitter = max(1.4826 * float(np.median(np.abs(changes))), float(np.quantile(np.abs(changes), 0.9)) / 1.65)
     steps = np.unique(np.abs(np.diff(rate[result.valid])))
     lsb = float(steps[1]) if len(steps) > 1 else 0.0
-    chosen = []
-    for start, end, length in zip(starts, ends, lengths, strict=True):
-        moved = float(np.ptp(ref[start : end + 1]))
-        unlikely = chance < RARE and len(rate) * chance ** (length - 1) < LONG_RUN
-        contradicted = length >= 4 and moved > 4.0 * jitter + 2.0 * lsb
-        parked = rate[start] == resting and np.max(np.abs(ref[start : end + 1])) < 1.0
-        if _counter_stuck(result, start, end) or (
-            not rails[start] and not parked and (unlikely or contradicted)
-        ):
-            chosen.append((start, end))
+    highest, lowest = _over_runs(np.maximum, ref, starts, ends), _over_runs(np.minimum, ref, starts, ends)
+    unlikely = (chance < RARE) & (len(rate) * chance ** (lengths - 1.0) < LONG_RUN)
+    contradicted = (lengths >= 4) & (highest - lowest > 4.0 * jitter + 2.0 * lsb)
+    parked = (rate[starts] == resting) & (np.maximum(np.abs(highest), np.abs(lowest)) < 1.0)
+    frozen = ~rails[starts] & ~parked & (unlikely | contradicted) | _counter_stuck(result, starts, ends)
+    chosen = list(zip(starts[frozen].tolist(), ends[frozen].tolist(), strict=True))
     if not chosen:
         return
     for start, end in chosen:
@@ -64,10 +62,20 @@ def _resting_code(rate: FloatArray, ref: FloatArray) -> float:
     return float(values[np.argmax(counts)])
 
 
-def _counter_stuck(result: Checked, start: int, end: int) -> bool:
-    """Whether the frame counter stood still as well: then the frame was frozen whatever the rate did."""
+def _counter_stuck(result: Checked, starts: IntArray, ends: IntArray) -> NDArray[np.bool_]:
+    """Where the frame counter stood still as well: then the frame was frozen whatever the rate did."""
     counter = result.columns.get("counter")
-    return counter is not None and end > start and float(np.ptp(counter[start : end + 1])) == 0.0
+    if counter is None:
+        return np.zeros(len(starts), dtype=bool)
+    highest, lowest = (_over_runs(f, counter, starts, ends) for f in (np.maximum, np.minimum))
+    return (ends > starts) & (highest == lowest)
+
+
+def _over_runs(function: np.ufunc, values: FloatArray, starts: IntArray, ends: IntArray) -> FloatArray:
+    """`function` reduced over rows starts..ends, both included, of every run (runs do not overlap)."""
+    cuts = np.stack([starts, ends + 1], axis=1).ravel()
+    padded = np.append(values, values[-1])  # a run may end with the last row
+    return function.reduceat(padded, cuts)[::2]
 
 
 def check_gaps(result: Checked) -> None:

@@ -81,13 +81,14 @@ def take_in(
     temp = columns.get("temp_degC")
 
     def clear(values: FloatArray) -> FloatArray:
-        return without_orders(cleared(values, truth, temp), truth, columns, valid)
+        return without_orders(cleared(values, t, truth, temp, valid), truth, columns, valid)
 
-    smoothed = reference(t, truth, clear(filled))
-    ref = unbiased(smoothed, clear(filled))
-    found = align(columns, filled, ref, valid) if timing is None else timing.applied(ref)
+    quick = clear(filled)
+    smoothed = reference(t, truth, quick)
+    ref = unbiased(smoothed, quick)
+    found = align(columns, quick, ref, valid) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
-    tested = clear(left)
+    tested = clear(left) if found.effects else quick
     quantized = quantization_finding(columns["rate_dps"], left, valid)
     line = line_finding(tested, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]
@@ -95,12 +96,12 @@ def take_in(
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
     if spread is not None:
         ref = unbiased(smoothed, tested, spread)
-        found = align(columns, filled, ref, valid, spread) if timing is None else timing.applied(ref)
+        found = align(columns, quick, ref, valid, spread) if timing is None else timing.applied(ref)
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving = found.moved
     if found.effects:  # without the timing error in it the residual shows the reference's noise more clearly
-        driving = found.moved + unbiased(smoothed, clear(left), spread).rate - ref.rate
+        driving = found.moved + unbiased(smoothed, tested, spread).rate - ref.rate
     work = prepare(
         recording.name,
         columns,
@@ -122,7 +123,8 @@ def fast_findings(intake: Intake, wave: FloatArray) -> list[FastFinding]:
     columns, valid, rate = intake.checked.columns, intake.checked.valid, intake.rate
     left = _bridged(intake.residual, valid) - intake.timing_change - wave
     truth = np.nan_to_num(columns["ref_rate_dps"])
-    tested = without_orders(cleared(left, truth, columns.get("temp_degC")), truth, columns, valid)
+    quick = cleared(left, columns["t_s"], truth, columns.get("temp_degC"), valid)
+    tested = without_orders(quick, truth, columns, valid)
     found = (
         quantization_finding(columns["rate_dps"], left, valid),
         line_finding(tested, rate, columns["t_s"], valid),

@@ -14,7 +14,18 @@ from training.diagnose.refit import driver_values
 from training.diagnose.work import FloatArray, smooth
 
 BEFORE, AFTER, MARK = "#c0392b", "#1f6f8b", "#f4d58d"
-MOTION_LABEL = {"temperature": "temperature [°C]", "rate": "rate [°/s]", "temperature_rate": "dT/dt [K/s]"}
+UNITS = {
+    "temperature": "°C",
+    "temperature_rate": "K/s",
+    "rate": "°/s",
+    "angular_acceleration": "°/s²",
+    "time": "s",
+    "time_since_power_on": "s",
+    "heading": "°",
+    "speed": "m/s",
+    "acceleration": "g",
+    "vibration": "(m/s²)²",
+}
 
 
 def data_uri(figure: Any) -> str:
@@ -60,12 +71,29 @@ def time_strips(analysis: Analysis, diagnosis: Diagnosis) -> str:
         )
         axis.set_ylabel("°/s")
         axis.set_xlabel("row" if work.points else "t [s]")
-        axis.legend(loc="upper right", fontsize=8)
+        axis.grid(True, alpha=0.2)
+        axis.legend(loc="upper left", fontsize=8, ncols=2)
         if not work.points:
             other = axis.twinx()
-            other.plot(work.t, work.temp, color="0.6", lw=0.7)
-            other.set_ylabel("°C", color="0.5")
+            other.plot(work.t, work.temp, color="0.6", lw=0.8, ls="--")
+            other.set_ylabel("temperature [°C]", color="0.5")
+            other.tick_params(axis="y", colors="0.5")
     return data_uri(figure)
+
+
+def driver_unit(name: str) -> str:
+    """Unit of a driver's values; of a rate-times driver it is that of the second factor."""
+    return UNITS.get(name.removeprefix("rate_times_"), "1")
+
+
+def driver_word(name: str) -> str:
+    """What a driver's values are; of a rate-times driver the second factor."""
+    return name.removeprefix("rate_times_").replace("_", " ")
+
+
+def driver_label(name: str) -> str:
+    """A driver's axis title."""
+    return f"{driver_word(name)} [{driver_unit(name)}]"
 
 
 def driver_plots(analysis: Analysis, diagnosis: Diagnosis) -> str | None:
@@ -78,8 +106,11 @@ def driver_plots(analysis: Analysis, diagnosis: Diagnosis) -> str | None:
     shown = [n for n in names if driver_values(n, analysis.intakes[0].work) is not None][:4]
     if not shown:
         return None
-    figure, axes = _figure(1, 3.0, len(shown))
-    for axis, name in zip(axes[0], shown, strict=True):
+    rows = (len(shown) + 1) // 2
+    figure, axes = _figure(rows, 2.7, min(2, len(shown)))
+    for axis in axes.ravel()[len(shown) :]:
+        axis.set_visible(False)
+    for axis, name in zip(axes.ravel(), shown, strict=False):
         _driver_plot(axis, analysis, name)
         for regime in [r for f in diagnosis.findings[:1] for r in f.where.regimes if r.driver == name]:
             axis.axvspan(regime.low, regime.high, color=MARK, alpha=0.45, lw=0)
@@ -100,8 +131,9 @@ def _driver_plot(axis: Any, analysis: Analysis, name: str) -> None:
             weights.append(w * w)
         centre, mean = _binned(np.concatenate(values), np.concatenate(errors), np.concatenate(weights))
         axis.plot(centre, 1e6 * mean if times_rate else mean, ".-", color=colour, ms=4, lw=0.8, label=label)
-    axis.set_xlabel(name.replace("_", " "))
+    axis.set_xlabel(driver_label(name))
     axis.set_ylabel("scale error [ppm]" if times_rate else "error [°/s]")
+    axis.grid(True, alpha=0.2)
     axis.legend(fontsize=8)
 
 
@@ -129,6 +161,7 @@ def allan_plot(analysis: Analysis) -> str | None:
             values, rate=1.0 / work.step_s, data_type="freq", taus="octave"
         )
         axis.loglog(taus, 3600.0 * deviation, "o-", color=colour, ms=3, lw=0.9, label=label)
+    axis.set_title(f"{analysis.intakes[0].recording.name}: Allan deviation of the error", fontsize=9)
     axis.set_xlabel("averaging time [s]")
     axis.set_ylabel("Allan deviation [°/h]")
     axis.grid(True, which="both", alpha=0.2)
@@ -137,19 +170,23 @@ def allan_plot(analysis: Analysis) -> str | None:
 
 
 def heldout_plot(analysis: Analysis) -> str | None:
-    """Block means of the misfit in up to three recordings of the proof, before and after."""
+    """Block means of the misfit in up to three recordings of the proof, before and after, over their own time."""
     proofs = analysis.proofs[:3]
     if not proofs:
         return None
     figure, axes = _figure(len(proofs), 2.0)
-    for axis, proof in zip(axes[:, 0], proofs, strict=True):
+    intakes = analysis.heldout or analysis.intakes
+    for axis, proof, intake in zip(axes[:, 0], proofs, intakes, strict=False):
+        t = np.linspace(intake.work.t[0], intake.work.t[-1], len(proof.slow_before))
         for values, colour, label in (
             (proof.slow_before, BEFORE, "before"),
             (proof.slow_after, AFTER, "after"),
         ):
-            axis.plot(_thin(values), color=colour, lw=0.8, label=label)
-        axis.set_title(f"{proof.name}: misfit not used for the fit", fontsize=9)
+            axis.plot(t, _thin(values), color=colour, lw=0.8, label=label)
+        axis.set_title(f"{proof.name}: misfit that had no part in the fit", fontsize=9)
+        axis.set_xlabel("point" if intake.work.points else "t [s]")
         axis.set_ylabel("°/s")
+        axis.grid(True, alpha=0.2)
         axis.legend(loc="upper right", fontsize=8)
     return data_uri(figure)
 
@@ -162,7 +199,9 @@ def _thin(values: FloatArray, width: int = 15) -> FloatArray:
 def regime_text(findings: Sequence[Finding]) -> list[str]:
     """The regimes of every finding in words."""
     return [
-        ", ".join(f"{r.driver.replace('_', ' ')} {r.low:.4g} … {r.high:.4g}" for r in f.where.regimes[:4])
-        or "everywhere"
+        " and ".join(
+            f"{driver_word(r.driver)} {r.low:.3g} … {r.high:.3g} {driver_unit(r.driver)}"
+            for r in f.where.regimes[:4]
+        )
         for f in findings
     ]

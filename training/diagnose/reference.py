@@ -8,6 +8,7 @@ residual shares with the reference (covariance −σ²) measures ν; a Wiener fi
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import interpolate, ndimage
 
 from training.diagnose.spectrum import band_edges
@@ -20,6 +21,7 @@ QUIET_SHARE = 0.25
 QUIET_LIMIT, MOVING = 4.0, 25.0  # times the quiet windows' power
 ROUNDS = 5
 LARGEST = 4.0
+KNOTS, CHUNK = 9, 100_000
 
 
 @dataclass(frozen=True)
@@ -71,19 +73,40 @@ def unbiased(ref: Reference, residual: FloatArray, spread: FloatArray | None = N
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
-def cleared(residual: FloatArray, rate: FloatArray, temp: FloatArray | None) -> FloatArray:
-    """Residual `(n,)` without the plain static shapes (offset, scale factor, both over temperature, curvature in rate).
+def cleared(
+    residual: FloatArray, t: FloatArray, rate: FloatArray, temp: FloatArray | None, valid: NDArray[np.bool_]
+) -> FloatArray:
+    """Residual `(n,)` without what is neither timing nor noise: least squares, before anything is named.
 
-    Before anything is named, the tests of noise must not take a large static error for it.
+    That is any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
+    bias.  A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²); a large error over
+    temperature or rate looks like noise where the rate steps.
     """
-    top = max(float(np.max(np.abs(rate))), 1e-300)
-    u = rate / top
-    columns = [np.ones(len(rate)), u, np.abs(u), u**3, u**5, u**7]
-    if temp is not None and np.ptp(temp) > 0.0:
-        h = (temp - temp.mean()) / np.ptp(temp)
-        columns += [h, h**2, h**3, *(u * h**k for k in range(1, 6)), u**3 * h]
-    design = np.stack(columns, axis=1)
-    return residual - design @ np.linalg.lstsq(design.T @ design, design.T @ residual, rcond=1e-10)[0]
+    if np.ptp(rate) < 0.5:
+        return residual
+    knots = np.unique(np.quantile(rate, np.linspace(0.0, 1.0, KNOTS)))
+    times = np.linspace(t[0], t[-1], KNOTS)
+    if temp is not None:
+        temp = np.where(np.isfinite(temp), temp, np.nanmedian(temp))
+    low, span = (0.0, 0.0) if temp is None else (float(np.min(temp)), float(np.ptp(temp)))
+
+    def design(part: slice) -> FloatArray:
+        w = rate[part] / np.max(np.abs(rate))
+        columns = [*_hats(rate[part], knots), *(w * hat for hat in _hats(t[part], times))]
+        if temp is not None and span > 0.0:
+            h = 2.0 * (temp[part] - low) / span - 1.0
+            columns += [h, h**2, h**3, *(w * h**k for k in range(1, 6)), w**3 * h]
+        return np.stack(columns, axis=1)
+
+    parts = [slice(i, i + CHUNK) for i in range(0, len(t), CHUNK)]
+    pieces = [(x := design(p)[valid[p]], x.T @ x, x.T @ residual[p][valid[p]])[1:] for p in parts]
+    gram, right = (np.sum([piece[i] for piece in pieces], axis=0) for i in (0, 1))
+    weights = np.linalg.lstsq(gram, right, rcond=1e-10)[0]
+    return residual - np.concatenate([design(p) @ weights for p in parts])
+
+
+def _hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:
+    return [np.interp(values, knots, row) for row in np.eye(len(knots))]
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:

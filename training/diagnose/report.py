@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from training.diagnose import pictures
 from training.diagnose.document import Diagnosis
 from training.diagnose.pipeline import Analysis
@@ -20,6 +22,20 @@ VERDICT_WORDS: Mapping[str, str] = {
 }
 
 
+COMPARED_WITH: Mapping[str, str] = {
+    "ideal": "an ideal gyro (rate = reference)",
+    "column": "the column sim_rate_dps",
+    "model": "a model file",
+    "scenario": "a simulated gyro (scenario)",
+}
+
+
+def title_of(effect_id: str) -> str:
+    """The name of an effect for people."""
+    found = catalogue().get(effect_id)
+    return found.title if found is not None else effect_id
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """A number for people: four significant digits."""
     return "–" if value is None else f"{value:.{digits}g}"
@@ -27,7 +43,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def probability(value: float) -> str:
     """A p-value for people; what is too small to mean anything is not printed as if it did."""
-    return "< 1e-12" if value < 1e-12 else f"{value:.1g}"
+    return "< 1e-12" if value < 1e-12 else f"= {value:.1g}"
 
 
 def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
@@ -37,7 +53,13 @@ def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"number": number, "probability": probability}
+    environment.filters |= {
+        "number": number,
+        "probability": probability,
+        "words": lambda name: name.replace("_", " ").replace("rate times", "rate ×"),
+        "title_of": title_of,
+        "unit": lambda unit: unit.replace("dps", "°/s") if unit != "1" else "",
+    }
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         d=diagnosis,
@@ -45,8 +67,12 @@ def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
         regimes=pictures.regime_text(diagnosis.findings),
         catalogue=catalogue(),
         pictures=_pictures(analysis, diagnosis),
-        simulation=analysis.simulation.kind,
-        step_s=analysis.intakes[0].work.step_s if analysis.intakes else None,
+        simulation=COMPARED_WITH[analysis.simulation.kind],
+        fitted=analysis.intakes,
+        hours=sum(float(np.ptp(i.work.t)) for i in analysis.intakes if not i.work.points) / 3600.0,
+        step_s=analysis.intakes[0].work.step_s
+        if analysis.intakes and not analysis.intakes[0].work.points
+        else None,
     )
 
 

@@ -18,6 +18,7 @@ WINDOW, PLACES = 48, 9  # rows compared at a time, and at how many places of a h
 VARIED = 12  # different values among them, below which equal rows can be a coincidence of coarse codes
 SHARED = 0.5  # of soaked points without time
 COMMON_K, COMMON_ROWS = 3.0, 200  # range of temperature and rows that two recordings must have in common
+ENOUGH_ROWS = 50_000  # of a recording, to tell its offset and scale factor
 TOLERANCES = 2.0  # of one sensor, each within its tolerance, two recordings differ by no more than this
 
 
@@ -125,23 +126,19 @@ def _temperatures(recordings: Sequence[Recording]) -> None:
 
 def _common(recordings: Sequence[Recording]) -> list[Recording]:
     """Leave out the drivers that not every recording has: an effect of theirs could not be carried over."""
-    spare = [
-        n for n in DRIVERS if any(n in r for r in recordings) and not all(n in r for r in recordings)
-    ]
+    spare = [n for n in DRIVERS if any(n in r for r in recordings) and not all(n in r for r in recordings)]
     if not spare:
         return list(recordings)
     logger.warning("not used, since not every recording has it: %s", ", ".join(spare))
     return [
-        Recording(
-            r.name, {k: v for k, v in r.columns.items() if k not in spare}, r.path, r.sha256, r.ignored
-        )
+        Recording(r.name, {k: v for k, v in r.columns.items() if k not in spare}, r.path, r.sha256, r.ignored)
         for r in recordings
     ]
 
 
 def _one_sensor(recordings: Sequence[Recording], settings: Settings) -> None:
     """Refuse recordings whose offsets or scale factors, at the temperatures they share, no one sensor has."""
-    parts = [_rows(r, settings.static) for r in recordings]
+    parts = [_rows(r, settings.static) for r in recordings] if len(recordings) > 1 else []
     for i, first in enumerate(parts):
         for k in range(i + 1, len(parts)):
             second = parts[k]
@@ -165,7 +162,8 @@ def _one_sensor(recordings: Sequence[Recording], settings: Settings) -> None:
 
 def _rows(recording: Recording, static: bool) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """(error, true rate, temperature) of the sound rows; None for a recording that is of no use anyway."""
-    checked = check(dict(recording.columns), static)
+    thinned = recording.take(np.arange(0, len(recording), 1 + len(recording) // ENOUGH_ROWS))
+    checked = check(dict(thinned.columns), static)
     if checked.unusable:
         return None
     c, valid = checked.columns, checked.valid

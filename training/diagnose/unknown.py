@@ -35,6 +35,7 @@ TIME_ALPHA = (
     1e-7  # slow noise that is not Gaussian (telegraph, drift) is a function of time like anything else
 )
 CYCLE_ALPHA = 1e-5  # but it keeps no beat
+SHAPE_SHARE = 0.03  # a name that leaves less than this of its own waveform is right, if not to the last digit
 STANDS_OUT = 0.1  # share of the strongest name's χ² from which something without a name is a finding beside it
 BESIDE_ALPHA = 1e-6
 RATE_DRIVERS = frozenset(
@@ -128,7 +129,7 @@ def unexplained(
         return model, Unknown(driver, part, p_value, strength, names, named=p_value < ALPHA)
     related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
     strongest = max((model.parts[i].chi2 for i in related), default=0.0)
-    if related and strength > WITHDRAW_SHARE * strongest:
+    if related and strength > WITHDRAW_SHARE * strongest and _left_over(model, joint) > SHAPE_SHARE:
         withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
         if withdrawn is not None:
             return withdrawn
@@ -140,6 +141,22 @@ def unexplained(
         strength = partial_chi2(build([*parts, part], domains, model.fit.weights))[-1]
         return again, Unknown(driver, part, p_value, strength, [], named=True)
     return model, Unknown(driver, part, p_value, strength, [], named=False)
+
+
+def _left_over(model: Model, joint: Model) -> float:
+    """What a further part changes of the named waveform, as a share of it, both weighed by the smaller noise."""
+    named = changed = 0.0
+    cuts = np.cumsum([len(d.edges) - 1 for d in joint.frame.domains])[:-1]
+    for r, (d, bands) in enumerate(zip(joint.frame.domains, np.split(joint.fit.spectrum, cuts), strict=True)):
+        weight = 1.0 / np.repeat(bands, np.diff(d.edges))
+        before, after = (
+            m.frame.chosen[r] @ m.fit.beta + d.nuisance @ m.fit.nuisance[r][: d.nuisance.shape[1]]
+            for m in (model, joint)
+        )
+        shape = model.frame.chosen[r] @ model.fit.beta
+        named += float(weight @ shape**2)
+        changed += float(weight @ (after - before) ** 2)
+    return changed / max(named, 1e-300)
 
 
 def _alpha(driver: str, candidate: Candidate) -> float:
