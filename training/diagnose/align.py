@@ -5,7 +5,7 @@ turn a delay into a bandwidth.  A second-order Butterworth filter is a delay up 
 likelihood says which, or that it cannot say.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -73,13 +73,19 @@ def common(timings: Sequence[Timing]) -> Timing:
 
 def align(
     columns: dict[str, FloatArray],
-    residual: FloatArray,
+    whole: FloatArray,
     ref: Reference,
     valid: np.ndarray,
+    clear: Callable[[FloatArray], FloatArray],
     spread: FloatArray | None = None,
 ) -> Timing:
-    """Fit the timing of one recording; `residual` (n,) is measured − simulated [dps], `spread` its relative noise."""
+    """Fit the timing of one recording.
+
+    `whole` (n,) is measured − simulated [dps]; `clear` takes out of a residual what is neither timing nor noise;
+    `spread` (n,) is the residual's relative noise.
+    """
     t = columns["t_s"]
+    residual = clear(whole)
     if np.ptp(ref.rate) < 0.5:
         return Timing(moved=ref.rate)
     work = prepare("timing", columns, residual, np.zeros(len(t)), ref.rate, valid, max_blocks=MAX_ROWS)
@@ -96,7 +102,7 @@ def align(
     ):
         timing.moved = ref.rate
         return timing
-    _decide(timing, base, t, span, residual, ref)
+    _decide(timing, base, t, span, residual, ref, lambda moved: clear(whole - (moved - ref.rate)))
     timing.sample_s = float(np.median(np.diff(t)))
     timing.change_rms_dps = float(np.std((timing.moved - ref.rate)[valid]))
     return timing
@@ -133,7 +139,7 @@ class _Base:
         if target is not None:
             rows = self.work.transform(self.work.average(target)[:, None])
             frame = Frame([self.domain], targets=[rows])
-        fit = frame.fit(frame.grams(extra=extra), self.null.weights)
+        fit = frame.best_fit(frame.grams(extra=extra), self.null.weights)
         errors = np.sqrt(np.diag(inverse(fit.information))) if columns else np.empty(0)
         return 2.0 * (fit.loglik - self.null.loglik), fit.beta, errors
 
@@ -160,17 +166,31 @@ def _moved_fit(
 
 
 def _decide(
-    timing: Timing, base: _Base, t: FloatArray, span: FloatArray, residual: FloatArray, ref: Reference
+    timing: Timing,
+    base: _Base,
+    t: FloatArray,
+    span: FloatArray,
+    residual: FloatArray,
+    ref: Reference,
+    without: Callable[[FloatArray], FloatArray],
 ) -> None:
-    """Name what the timing is: delay, clock drift, bandwidth, or a class of them."""
+    """Name what the timing is: delay, clock drift, bandwidth, or a class of them.
+
+    `without(moved)` is the cleared residual with that motion taken for the true one: cleared before, a large delay
+    would have lost what of it looks like a function of the rate.
+    """
     late = t - t[0]
-    only, delay, delay_se = _one_shift(base, t, residual, ref, np.ones(len(t)))
-    drift, clock, clock_se = _one_shift(base, t, residual, ref, late)
-    bandwidth, corner, poles = _bandwidth(base, residual, t, ref)
-    both = timing.gains["both"]
+    delay, delay_se = _one_shift(base, t, without, ref, np.ones(len(t)), timing.delay_s)
+    clock, clock_se = _one_shift(base, t, without, ref, late, 0.0)
+    _, corner, poles = _bandwidth(base, residual, t, ref)
+    sampling = 1.0 / float(np.median(np.diff(t)))
+    slid = timing.delay_s + 1e-6 * timing.clock_ppm * span
+    motions = [ref.moved(t, delay), ref.moved(t, clock * late), filtered(ref.rate, sampling, corner, poles)]
+    only, drift, bandwidth, both = (
+        base.gain([], without(moved))[0] for moved in (*motions, ref.moved(t, slid))
+    )
     timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": max(both, drift)}
     timing.gains["drift_alone"] = drift
-    sampling = 1.0 / float(np.median(np.diff(t)))
     if drift > max(only, bandwidth) + SIMPLER and both - drift < SECOND and drift > SIGNIFICANT:
         timing.delay_s, timing.delay_se = 0.0, 0.0
         timing.clock_ppm, timing.clock_se = 1e6 * clock, 1e6 * clock_se
@@ -216,18 +236,23 @@ def rivals(timing: Timing, effect: str) -> dict[str, float]:
 
 
 def _one_shift(
-    base: _Base, t: FloatArray, residual: FloatArray, ref: Reference, shape: FloatArray
-) -> tuple[float, float, float]:
-    """(gain, size, its standard error) of one delay that goes as `shape` `(n,)`: constant, or growing with time."""
-    size, gain, error = 0.0, 0.0, np.inf
+    base: _Base,
+    t: FloatArray,
+    without: Callable[[FloatArray], FloatArray],
+    ref: Reference,
+    shape: FloatArray,
+    start: float,
+) -> tuple[float, float]:
+    """(size, its standard error) of one delay that goes as `shape` `(n,)`: constant, or growing with time."""
+    size, error = start, np.inf
     most = 0.5 / float(np.max(shape))
     for _ in range(MAX_STEPS):
         slope = -ref.spline(np.clip(t - size * shape, t[0], t[-1]), 1) * shape
-        gain, step, errors = base.gain([slope], residual - (ref.moved(t, size * shape) - ref.rate))
+        _, step, errors = base.gain([slope], without(ref.moved(t, size * shape)))
         size, error = size + float(np.clip(step[0], -most, most)), float(errors[0])
         if abs(step[0]) < 0.05 * error:
             break
-    return gain, size, error
+    return size, error
 
 
 def _bandwidth(base: _Base, residual: FloatArray, t: FloatArray, ref: Reference) -> tuple[float, float, int]:

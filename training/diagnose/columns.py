@@ -49,8 +49,8 @@ ORDERS = (1, 2, 3, 4, 6)  # a cubic serves all but the strongest: their next ord
 
 
 def order_grid(survey: Survey) -> list[Parameters]:
-    """Polynomial orders."""
-    return [{"order": float(k)} for k in ORDERS]
+    """Polynomial orders; those beyond a cubic are marked, for what they must pay."""
+    return [{"order": float(k)} | ({"high": 1.0} if k > 3 else {}) for k in ORDERS]
 
 
 def no_grid(survey: Survey) -> list[Parameters]:

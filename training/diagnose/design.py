@@ -107,6 +107,10 @@ class Frame:
             [start(np.ascontiguousarray(self.phi[:, s]), self.counts[s], powers[s]) for s in parts]
         )
 
+    def best_fit(self, grams: FloatArray, weights: FloatArray) -> Fit:
+        """The better of two fits: from known noise weights, and afresh, as a shape they have at nothing stays there."""
+        return max(self.fit(grams), self.fit(grams, weights), key=lambda fit: fit.loglik)
+
     def fit(
         self, grams: FloatArray, weights: FloatArray | None = None, rounds: int = 12, inner: int = 25
     ) -> Fit:

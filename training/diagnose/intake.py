@@ -86,7 +86,7 @@ def take_in(
     quick = clear(filled)
     smoothed = reference(t, truth, quick)
     ref = unbiased(smoothed, quick)
-    found = align(columns, quick, ref, valid) if timing is None else timing.applied(ref)
+    found = align(columns, filled, ref, valid, clear) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
     tested = clear(left) if found.effects else quick
     quantized = quantization_finding(columns["rate_dps"], left, valid)
@@ -96,7 +96,7 @@ def take_in(
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
     if spread is not None:
         ref = unbiased(smoothed, tested, spread)
-        found = align(columns, quick, ref, valid, spread) if timing is None else timing.applied(ref)
+        found = align(columns, filled, ref, valid, clear, spread) if timing is None else timing.applied(ref)
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving = found.moved

@@ -79,9 +79,7 @@ def build(parts: Sequence[Part], domains: Sequence[Domain], weights: FloatArray 
         chosen.append(np.concatenate(blocks, axis=1) if blocks else np.empty((len(d.target), 0)))
     frame = Frame(domains, chosen)
     grams = frame.grams()
-    fit = frame.fit(grams)
-    if weights is not None:  # from known weights it is closer, but a shape that they have at nothing stays at nothing
-        fit = max(fit, frame.fit(grams, weights), key=lambda f: f.loglik)
+    fit = frame.fit(grams) if weights is None else frame.best_fit(grams, weights)
     return Model(list(parts), frame, fit)
 
 

@@ -80,10 +80,11 @@ def cleared(
 
     That is any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
     bias.  A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²); a large error over
-    temperature or rate looks like noise where the rate steps.
+    temperature or rate looks like noise where the rate steps.  A delay and its drift are fitted along and left in.
     """
     if np.ptp(rate) < 0.5:
         return residual
+    slope, middle = np.gradient(rate, t), 0.5 * (t[0] + t[-1])
     knots = np.linspace(rate.min(), rate.max(), KNOTS)  # by rank they would crowd on a level and take its noise away
     times = np.linspace(t[0], t[-1], KNOTS)
     if temp is not None:
@@ -96,12 +97,14 @@ def cleared(
         if temp is not None and span > 0.0:
             h = 2.0 * (temp[part] - low) / span - 1.0
             columns += [h, h**2, h**3, *(w * h**k for k in range(1, 6)), w**3 * h]
-        return np.stack(columns, axis=1)
+        kept = [slope[part], slope[part] * (t[part] - middle) / (t[-1] - t[0])]
+        return np.stack([*columns, *kept], axis=1)
 
     parts = [slice(i, i + CHUNK) for i in range(0, len(t), CHUNK)]
     pieces = [(x := design(p)[valid[p]], x.T @ x, x.T @ residual[p][valid[p]])[1:] for p in parts]
     gram, right = (np.sum([piece[i] for piece in pieces], axis=0) for i in (0, 1))
     weights = np.linalg.lstsq(gram, right, rcond=1e-10)[0]
+    weights[-2:] = 0.0
     return residual - np.concatenate([design(p) @ weights for p in parts])
 
 

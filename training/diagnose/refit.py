@@ -11,7 +11,7 @@ from training.diagnose.intervals import Estimates
 from training.diagnose.naming import Model, Part
 from training.diagnose.work import FloatArray, Work
 
-SHAPE_KEYS = {"order", "with_bias", "with_static", "shape", "recording"}
+SHAPE_KEYS = {"order", "high", "with_bias", "with_static", "shape", "recording"}
 UNITS = {
     "tau_s": "s",
     "play_K": "K",

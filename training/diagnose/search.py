@@ -14,6 +14,7 @@ from training.diagnose.work import FloatArray
 SURROGATES = 48
 EXTRA_COLUMN = 3.0
 STATIC_PRICE = 8.0
+HIGH_PRICE = 60.0
 EULER = 0.5772156649
 
 
@@ -50,9 +51,14 @@ def price(parameters: Parameters, width: int) -> float:
     """What a variant must pay for its columns.
 
     A loop with its static slope also pays for the search over the loop's width: where only the slope is there, some
-    width always fits a little of the noise.
+    width always fits a little of the noise.  High orders of a polynomial are no physics but the shape of something
+    large, and only worth while there.
     """
-    return EXTRA_COLUMN * width + STATIC_PRICE * parameters.get("with_static", 0.0)
+    return (
+        EXTRA_COLUMN * width
+        + STATIC_PRICE * parameters.get("with_static", 0.0)
+        + HIGH_PRICE * parameters.get("high", 0.0)
+    )
 
 
 def statistics(library: Library, gains: FloatArray) -> dict[str, Candidate]:
