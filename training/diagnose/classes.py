@@ -34,7 +34,7 @@ KINDS = {
     ("scale", "static"): ("scale_temperature",),
     ("scale", "dynamic"): ("thermal_lag", "scale_hysteresis", "scale_temperature_rate"),
     ("scale", "time"): ("source_ageing", "scale_warmup", "scale_step"),
-    ("shape", "rate"): ("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
+    ("scale", "rate"): ("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
     ("heading", "turn"): ("magnetic", "table_eccentricity"),
 }
 FAMILY = {effect: family for family, effects in KINDS.items() for effect in effects}
@@ -102,7 +102,10 @@ def with_classes(
                 continue
             rival = _rival(library, domains, null, without, candidate, len(part.points))
             most = allowed if family(effect)[0] == family(part.effect)[0] else CLASS_COST
-            if reference - score(rival) < (STATIC_PRICE if _contains(part, candidate) else most):
+            cost = reference - score(rival)
+            if cost < (STATIC_PRICE if _contains(part, candidate) else most) and _instead(
+                part, rival, reference - score(without), domains
+            ):
                 close[effect], models[effect] = reference - score(rival), rival
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:
@@ -111,6 +114,12 @@ def with_classes(
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
         rivals += [(i, rival) for rival in models.values()]
     return Model(parts, model.frame, model.fit), rivals
+
+
+def _instead(part: Part, rival: Model, worth: float, domains: Sequence[Domain]) -> bool:
+    """Whether the rival stands in the part's place: beside it the part is worth less than half of what it was."""
+    beside = build([*rival.parts, part], domains, rival.fit.weights)
+    return score(beside) - score(rival) < 0.5 * worth
 
 
 def _twins(part: Part, library: Library) -> set[str]:

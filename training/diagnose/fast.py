@@ -15,7 +15,8 @@ from training.diagnose.work import FloatArray
 BLOCKS = 1500
 MIN_IN_BLOCK = 8
 VARIANCE_Z = 6.0
-VARIANCE_SHARE = 0.05
+VARIANCE_SHARE = 0.01
+TOP_SHARES = (0.02, 0.1)
 RANK_P = 1e-3  # that a few wild blocks are not all there is to it
 LINE_LOG_P = -16.0
 WEIGHT_GAIN = 20.0
@@ -78,11 +79,11 @@ def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float)
     best = min(drivers, key=lambda name: fits[name][1])
     gain = (none[1] - fits[best][1]) / max(1.0, fits[best][2])
     share = fits[best][0][1] * float(np.mean(drivers[best])) / max(float(np.mean(power)), 1e-300)
-    rank: Any = stats.spearmanr(power, drivers[best])
-    if gain < WEIGHT_GAIN or share < VARIANCE_SHARE or rank.statistic < 0.0 or both[0][0] <= 0.0:
+    rank = _rank_p(power, drivers[best])
+    if gain < WEIGHT_GAIN or share < VARIANCE_SHARE or rank > 0.5 or both[0][0] <= 0.0:
         return VarianceModel()
     model = VarianceModel(float(both[0][1] / both[0][0]), float(both[0][2] / both[0][0]))
-    if gain < VARIANCE_Z**2 or rank.pvalue > RANK_P:
+    if gain < VARIANCE_Z**2 or rank > RANK_P:
         return model
     other = next(name for name in drivers if name != best)
     cost = (fits[other][1] - fits[best][1]) / max(1.0, fits[best][2])
@@ -93,11 +94,23 @@ def _variance_fit(power: FloatArray, drivers: dict[str, FloatArray], dof: float)
         best,
         {key: (value * scale, float(error) * scale, unit)},
         float(np.sqrt(share * np.mean(power))),
-        float(rank.pvalue),
+        rank,
         {other: cost} if cost < 10.0 else {},
         "the variance of the residual follows the motion",
     )
     return model
+
+
+def _rank_p(power: FloatArray, driver: FloatArray) -> float:
+    """How often ranks alone would rise so with the driver: over all blocks, or in those where it is largest."""
+    overall: Any = stats.spearmanr(power, driver, alternative="greater")
+    found = [float(overall.pvalue)]
+    for share in TOP_SHARES:
+        top = driver >= np.quantile(driver, 1.0 - share)
+        if 8 <= top.sum() < len(driver):
+            test: Any = stats.mannwhitneyu(power[top], power[~top], alternative="greater")
+            found.append(float(test.pvalue))
+    return min(1.0, len(found) * min(found))
 
 
 def _gamma_fit(power: FloatArray, columns: list[FloatArray], dof: float) -> tuple[FloatArray, float, float]:

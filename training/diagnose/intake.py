@@ -81,11 +81,11 @@ def take_in(
     temp = columns.get("temp_degC")
 
     def clear(values: FloatArray) -> FloatArray:
-        return without_orders(cleared(values, t, truth, temp, valid), truth, columns, valid)
+        return without_orders(cleared(values, t, truth, temp, valid)[0], truth, columns, valid)
 
-    quick = clear(filled)
+    quick, gain = clear(filled), cleared(filled, t, truth, temp, valid)[1]
     smoothed = reference(t, truth, quick)
-    ref = unbiased(smoothed, quick)
+    ref = unbiased(smoothed, quick, gain)
     found = align(columns, filled, ref, valid, clear) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
     tested = clear(left) if found.effects else quick
@@ -95,13 +95,13 @@ def take_in(
     variance = VarianceModel() if quantized is not None else variance_model(tested, found.moved, t, valid)
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
     if spread is not None:
-        ref = unbiased(smoothed, tested, spread)
+        ref = unbiased(smoothed, tested, gain, spread)
         found = align(columns, filled, ref, valid, clear, spread) if timing is None else timing.applied(ref)
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving = found.moved
     if found.effects:  # without the timing error in it the residual shows the reference's noise more clearly
-        driving = found.moved + unbiased(smoothed, tested, spread).rate - ref.rate
+        driving = found.moved + unbiased(smoothed, tested, gain, spread).rate - ref.rate
     work = prepare(
         recording.name,
         columns,
@@ -123,7 +123,7 @@ def fast_findings(intake: Intake, wave: FloatArray) -> list[FastFinding]:
     columns, valid, rate = intake.checked.columns, intake.checked.valid, intake.rate
     left = _bridged(intake.residual, valid) - intake.timing_change - wave
     truth = np.nan_to_num(columns["ref_rate_dps"])
-    quick = cleared(left, columns["t_s"], truth, columns.get("temp_degC"), valid)
+    quick, _ = cleared(left, columns["t_s"], truth, columns.get("temp_degC"), valid)
     tested = without_orders(quick, truth, columns, valid)
     found = (
         quantization_finding(columns["rate_dps"], left, valid),

@@ -52,14 +52,17 @@ def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference
     return Reference(t, rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
 
 
-def unbiased(ref: Reference, residual: FloatArray, spread: FloatArray | None = None) -> Reference:
+def unbiased(
+    ref: Reference, residual: FloatArray, gain: FloatArray, spread: FloatArray | None = None
+) -> Reference:
     """A smoothed reference with the noise that is left in it estimated from the residual `(n,)` and taken out.
 
     The residual, cleared of what it has of known shapes (`cleared`), is n − ν: gyro noise less reference noise.
     Wiener's estimate of ν from it, filtered by S_ν/S_residual at every frequency, leaves a rate whose error is
     uncorrelated with the residual: regressors made of it, its derivatives too, cannot find the reference's noise in
-    the residual.  `spread` `(n,)` is the residual's relative deviation where that follows the motion.  The estimate is
-    bounded, so that a large effect stays.
+    the residual.  `gain` `(n,)` is the local gain error s of what was cleared: an error η of the rate comes back in the
+    residual as −s·η, so a share k of it must be k·(1 + s·(1 − k)).  `spread` `(n,)` is the residual's relative
+    deviation where that follows the motion.  The estimate is bounded, so that a large effect stays.
     """
     if ref.noise_dps <= 0.0:
         return ref
@@ -69,21 +72,23 @@ def unbiased(ref: Reference, residual: FloatArray, spread: FloatArray | None = N
     power = np.repeat(np.add.reduceat(spectrum**2, edges[:-1]) / np.diff(edges), np.diff(edges))
     share = np.minimum(ref.noise_dps**2 / np.maximum(power, 1e-300), 1.2)
     bound = LARGEST * ref.noise_dps
-    rate = ref.rate + np.clip(inverse_dct(spectrum * share * ref.gain) / level, -bound, bound)
+    usual = float(np.median(share * ref.gain))
+    estimate = inverse_dct(spectrum * share * ref.gain) / level * (1.0 + gain * (1.0 - usual))
+    rate = ref.rate + np.clip(estimate, -bound, bound)
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
 def cleared(
     residual: FloatArray, t: FloatArray, rate: FloatArray, temp: FloatArray | None, valid: NDArray[np.bool_]
-) -> FloatArray:
-    """Residual `(n,)` without what is neither timing nor noise: least squares, before anything is named.
+) -> tuple[FloatArray, FloatArray]:
+    """(residual without what is neither timing nor noise, gain error of what was taken), both `(n,)`.
 
-    That is any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
+    By least squares, before anything is named: any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
     bias.  A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²); a large error over
     temperature or rate looks like noise where the rate steps.  A delay and its drift are fitted along and left in.
     """
     if np.ptp(rate) < 0.5:
-        return residual
+        return residual, np.zeros(len(residual))
     slope, middle = np.gradient(rate, t), 0.5 * (t[0] + t[-1])
     knots = np.linspace(rate.min(), rate.max(), KNOTS)  # by rank they would crowd on a level and take its noise away
     times = np.linspace(t[0], t[-1], KNOTS)
@@ -91,9 +96,9 @@ def cleared(
         temp = np.where(np.isfinite(temp), temp, np.nanmedian(temp))
     low, span = (0.0, 0.0) if temp is None else (float(np.min(temp)), float(np.ptp(temp)))
 
-    def design(part: slice) -> FloatArray:
-        w = rate[part] / np.max(np.abs(rate))
-        columns = [*_hats(rate[part], knots), *(w * hat for hat in _hats(t[part], times))]
+    def design(part: slice, more: float = 0.0) -> FloatArray:
+        w = (rate[part] + more) / np.max(np.abs(rate))
+        columns = [*_hats(rate[part] + more, knots), *(w * hat for hat in _hats(t[part], times))]
         if temp is not None and span > 0.0:
             h = 2.0 * (temp[part] - low) / span - 1.0
             columns += [h, h**2, h**3, *(w * h**k for k in range(1, 6)), w**3 * h]
@@ -105,7 +110,11 @@ def cleared(
     gram, right = (np.sum([piece[i] for piece in pieces], axis=0) for i in (0, 1))
     weights = np.linalg.lstsq(gram, right, rcond=1e-10)[0]
     weights[-2:] = 0.0
-    return residual - np.concatenate([design(p) @ weights for p in parts])
+    step = 0.25 * float(knots[1] - knots[0])
+    taken, above, below = (
+        np.concatenate([design(p, more) @ weights for p in parts]) for more in (0.0, step, -step)
+    )
+    return residual - taken, (above - below) / (2.0 * step)
 
 
 def _hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:

@@ -107,6 +107,7 @@ def unexplained(
                 withdrawn is not None
                 and withdrawn[1] is not None
                 and _related(model.parts[several[0]].group, withdrawn[1].driver)
+                and not _nearly_whole(model, several, *withdrawn)
             ):
                 return withdrawn
     found = residual_scan(generic, model, null)
@@ -141,6 +142,17 @@ def unexplained(
         strength = partial_chi2(build([*parts, part], domains, model.fit.weights))[-1]
         return again, Unknown(driver, part, p_value, strength, [], named=True)
     return model, Unknown(driver, part, p_value, strength, [], named=False)
+
+
+def _nearly_whole(model: Model, several: list[int], kept: Model, unknown: Unknown | None) -> bool:
+    """Whether the strongest of several names alone is all of the function's waveform but a trifle: then it is right."""
+    if unknown is None:
+        return False
+    domains = model.frame.domains
+    strongest = max(several, key=lambda i: partial_chi2(model)[i])
+    alone = build([*kept.parts, model.parts[strongest]], domains, model.fit.weights)
+    joint = build([*kept.parts, unknown.part], domains, model.fit.weights)
+    return _left_over(alone, joint) < SHAPE_SHARE
 
 
 def _left_over(model: Model, joint: Model) -> float:
