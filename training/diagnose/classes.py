@@ -35,15 +35,45 @@ KINDS = {
     ("scale", "dynamic"): ("thermal_lag", "scale_hysteresis", "scale_temperature_rate"),
     ("scale", "time"): ("source_ageing", "scale_warmup", "scale_step"),
     ("scale", "rate"): ("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
-    ("heading", "turn"): ("magnetic", "table_eccentricity"),
+    ("bias", "turn"): ("magnetic",),
+    ("scale", "turn"): ("table_eccentricity",),
 }
 FAMILY = {effect: family for family, effects in KINDS.items() for effect in effects}
+STATIC_OF = {"bias_hysteresis": "bias_temperature", "scale_hysteresis": "scale_temperature"}
+SLOPE_CHI2, SLOPE_SHARE = 50.0, 0.05
 LAGGING = frozenset({"thermal_lag", "scale_temperature_rate"})
 
 
 def family(effect: str) -> tuple[str, str]:
     """(what it acts on, how it goes): effects alike in both mistake each other's shape errors for a second effect."""
     return FAMILY.get(effect, (effect, effect))
+
+
+def apart(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
+    """The model with a strong static slope of a hysteresis as the effect of its own that it is.
+
+    A loop of real material has a little of a line in common with the temperature; more than that is a static error.
+    """
+    for i, part in enumerate(model.parts):
+        static = STATIC_OF.get(part.effect)
+        group = next((g for g in library.groups if g.effect == static), None)
+        sloped = [bool(point.get("with_static")) for point in part.points]
+        if group is None or not any(sloped) or any(p.effect == static for p in model.parts):
+            continue
+        loop = replace(part, points=[{**point, "with_static": 0.0} for point in part.points])
+        rest = [loop if j == i else p for j, p in enumerate(model.parts)]
+        without = build(rest, domains, model.fit.weights)
+        tried = [
+            build([*rest, Part(group, [point])], domains, model.fit.weights)
+            for point in (v.parameters for v in library.variants if v.group is group)
+        ]
+        best = max(tried, key=score)
+        strengths = partial_chi2(best)
+        if strengths[-1] > max(SLOPE_CHI2, SLOPE_SHARE * strengths[i]):
+            found = residual_scan(library, without, null)[group.effect]
+            best.parts[-1].p_value = null.p_value(found.excess)
+            model = best
+    return model
 
 
 def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:

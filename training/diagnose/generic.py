@@ -50,7 +50,7 @@ VALUES: dict[str, tuple[Driver, bool, frozenset[str]]] = {
 }
 BENDING = frozenset({"temperature", "rate", "rate_times_temperature", "speed"})
 TRANSITIONS = frozenset({"temperature", "rate_times_temperature"})
-BUMPED = frozenset({"temperature", "rate_times_temperature", "rate", "speed"})
+BUMPED = frozenset({"temperature", "rate_times_temperature", "rate", "speed", "time"})
 WAVING = frozenset({"temperature", "rate_times_temperature", "rate", "time"})
 CENTRES = 28
 TRANSITION_WIDTHS = (0.012, 0.03, 0.08)  # shares of the driver's range

@@ -10,7 +10,7 @@ import numpy as np
 from rtcomp.errors import RequestError
 from training.diagnose.align import common
 from training.diagnose.checked import Checked
-from training.diagnose.classes import demoted, preferred
+from training.diagnose.classes import apart, demoted, preferred
 from training.diagnose.design import Domain, Frame, Library, domain
 from training.diagnose.generic import generic_groups
 from training.diagnose.groups import GROUPS
@@ -137,7 +137,7 @@ def _confirm(intake: Intake, analysis: Analysis) -> None:
 
 def _names(library: Library, null: Null, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
     """(the named model with its classes, names demoted on the way)."""
-    model, dropped = demoted(forward(library, domains, null), domains)
+    model, dropped = demoted(apart(library, domains, null, forward(library, domains, null)), domains)
     return preferred(library, domains, null, model), dropped
 
 

@@ -21,7 +21,7 @@ from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, surrogate_nu
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
-REMAINDER_ALPHA = 1e-3
+REMAINDER_ALPHA = ALPHA
 MUST_ADD = (
     0.3  # share of the remainder that the function must explain beyond what the name does, or the name stands
 )
