@@ -152,6 +152,22 @@ def test_wrong_coefficients_come_along_with_the_rest(tmp_path):
     assert len(t) == len(live)
 
 
+def test_a_large_static_error_is_corrected_from_the_measured_rate(tmp_path):
+    """The reference gyro's size: ten percent of the rate, so that true and measured rate are far apart."""
+    _, rate, temp = profile()
+    h = temp - 25.0
+    planted = rate * (0.04 - 1.3e-3 * h) - 1.6e-6 * rate**3
+    found, unseen = analysis_of(planted)
+    chosen = {"scale_temperature": {"order": 1.0}, "scale_nonlinearity": {"order": 1.0}}
+    parts = [Part(g, [chosen[g.effect]], 1e-9, chi2=1e4) for g in GROUPS if g.effect in chosen]
+    found.model = build(parts, found.domains)
+    finished(found, unseen, tmp_path)
+    live = corrections_on_a_bus(load_model(tmp_path / "extended.json"), unseen)
+    left = unseen["rate_dps"] - live - unseen["ref_rate_dps"]
+    assert np.std(planted) > 2.0
+    assert np.std(left) < 0.01 * np.std(planted)
+
+
 def test_every_term_of_the_runtime_can_come_from_a_diagnosis():
     assert {g.effect for g in CAUSAL} | BASED_ON_COEFFICIENTS == set(TERMS)
 

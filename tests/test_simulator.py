@@ -415,3 +415,16 @@ def test_draws_of_different_purposes_are_independent():
 def test_the_noise_of_a_scenario_has_the_names_of_its_effect():
     catalogue()["noise_level"].complete(Noise().values())
     assert tuple(Noise().values().values()) == Noise().density
+
+
+def test_the_catalogue_is_listed_with_units_and_sources():
+    shown = CliRunner().invoke(command, ["--effects"])
+    assert shown.exit_code == 0
+    for name, entry in catalogue().items():
+        assert f"\n{name}: {entry.title}\n  {entry.equation}\n" in f"\n{shown.output}"
+        assert all(f"  {p} [{what.unit}]" in shown.output for p, what in entry.parameters.items())
+
+
+def test_help_names_every_bundled_scenario():
+    shown = CliRunner().invoke(command, ["--help"]).output
+    assert all(name in shown for name in bundled_scenarios())

@@ -22,6 +22,7 @@ from training.diagnose.document import Diagnosis
 from training.diagnose.run import run_diagnose
 from training.diagnose.settings import Settings
 from training.dynamic import branches
+from training.effects.base import ErrorEffect
 from training.effects.catalogue import effect
 from training.effects.truth import Truth
 from training.table import Recording, read_recording, write_recording
@@ -74,7 +75,9 @@ def recovered(recording: Recording, injected: str, without: np.ndarray) -> dict[
     """What an effect added to the whole recording makes the diagnosis say and predict beyond `without` it."""
     n = len(recording)
     truth = Truth(recording["t_s"], np.zeros(n), recording["temp_degC"])
-    wave = effect(injected).error(truth, INJECTED[injected])
+    entry = effect(injected)
+    assert isinstance(entry, ErrorEffect)  # noqa: S101 (it is one of INJECTED)
+    wave = entry.error(truth, INJECTED[injected])
     columns = {**recording.columns, "rate_dps": recording["rate_dps"] + wave}
     found, predicted = diagnosed(Recording(recording.name, columns), np.ones(n, dtype=bool))
     more = (predicted - without) - np.mean(predicted - without)

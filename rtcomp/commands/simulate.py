@@ -6,6 +6,21 @@ from pathlib import Path
 import click
 
 
+def _effects(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    """Print the catalogue and end."""
+    if not wanted or ctx.resilient_parsing:
+        return
+    from training.effects.catalogue import catalogue
+
+    for entry in catalogue().values():
+        click.echo(f"{entry.id}: {entry.title}\n  {entry.equation}")
+        for name, what in entry.parameters.items():
+            need = "" if what.default is None else f", {what.default:g} when left out"
+            click.echo(f"  {name} [{what.unit}]: nominal {what.nominal:.4g}, hard {what.hard:.4g}{need}")
+        click.echo(f"  source: {entry.source}")
+    ctx.exit()
+
+
 @click.command("simulate")
 @click.argument("scenario")
 @click.option(
@@ -20,15 +35,24 @@ import click
     "--seed", type=click.IntRange(min=0), help="Seed of all random draws; by default the scenario's."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document about the recording.")
+@click.option(
+    "--effects",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_effects,
+    help="List every effect a scenario may switch on: equation, parameters with units, source.",
+)
 def command(scenario: str, output: Path, seed: int | None, as_json: bool) -> None:
     """Simulate a gyro: SCENARIO (a TOML file, or the name of a bundled one) becomes a recording.
 
     Bundled: rate_table, chamber_cycle, cold_start_drive, parking, creep, heading_circles, demo_drive,
-    paper_omission.
+    paper_omission, soaked_gyro.
 
     \b
-    Example:
+    Examples:
         rtcomp simulate cold_start_drive -o drive.csv.gz --seed 7
+        rtcomp simulate --effects
     """
     from training.simulator.run import simulate_file
 

@@ -14,6 +14,7 @@ from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
 from training.diagnose.generic import HATS, VALUES, basis_of, grain_of, knots_of
 from training.diagnose.library import Parameters
+from training.diagnose.measured import in_measured_rate
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
 from training.diagnose.prepare import smoothing_s
@@ -151,6 +152,7 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     """Write the model file; without anything found it is an empty, valid model."""
     terms, left = terms_of(analysis, diagnosis)
     base = analysis.simulation.model
+    terms = in_measured_rate(terms, analysis.intakes, base)
     works = [d.work for d in analysis.domains]
     fields: dict[str, Any] = {"terms": [_plain(t) for t in terms]}
     if works:

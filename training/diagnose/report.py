@@ -43,7 +43,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def probability(value: float) -> str:
     """A p-value for people; what is too small to mean anything is not printed as if it did."""
-    return "< 1e-12" if value < 1e-12 else f"= {value:.1g}"
+    return "< 1e-12" if value <= 1e-12 else f"= {value:.1g}"
 
 
 def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:
