@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from diagnose_cases import lag_effect, profile, recording
+from diagnose_cases import lag_effect, lagged, profile, recording
 from scipy.interpolate import CubicSpline
 
 from rtcomp.errors import RequestError
@@ -24,10 +24,12 @@ def test_noise_alone_says_nothing_and_tells_what_it_could_have_seen():
     assert found.visible_from["thermal_lag"] > 0.0
 
 
-def test_a_planted_lag_is_named_and_its_parameters_are_covered():
+def test_a_planted_lag_is_found_in_its_class_and_its_parameters_are_covered():
     found = diagnose(recording(12, lag_effect), heldout=[recording(13, lag_effect)])
     first = found.findings[0]
-    assert (found.verdict, first.effect, first.alternatives) == ("named", "thermal_lag", ["thermal_lag"])
+    assert (found.verdict, first.effect) == ("ambiguous", "thermal_lag")
+    assert first.alternatives == ["thermal_lag", "scale_temperature_rate"]
+    assert "coil" in (first.separate_by or "")
     assert first.parameters["tau_s"].ci95[0] < 200.0 < first.parameters["tau_s"].ci95[1]
     assert abs(first.parameters["scale_ppm_per_K"].value / 40.0 - 1.0) < 0.15
     assert found.fit.heldout
@@ -35,6 +37,15 @@ def test_a_planted_lag_is_named_and_its_parameters_are_covered():
     assert (
         found.fit.improvement > 10 * abs(found.fit.placebo_improvement or 0.0) or found.fit.improvement > 0.2
     )
+
+
+def test_a_sensor_at_the_coil_tells_a_lag_from_its_twin():
+    case = recording(12, lag_effect)
+    coil = lagged(case.columns["temp_degC"], 200.0)
+    case.columns["coil_temp_degC"] = coil + np.random.default_rng(1).normal(0.0, 0.01, len(coil))
+    first = diagnose(case).findings[0]
+    assert (first.effect, first.status) == ("thermal_lag", "named")
+    assert first.parameters["coil_tau_s"].value == pytest.approx(200.0, rel=0.15)
 
 
 @pytest.mark.parametrize(

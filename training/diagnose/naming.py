@@ -26,11 +26,15 @@ GIANT = 2000.0
 ONE_SHAPE = frozenset({"dead_band"})
 BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
 LONGER = 1.35
-STRICTER = {
+STRICTER = {  # slow noise that is not Gaussian (a random walk, telegraph noise) draws these by itself
     "bias_drift": 1e-6,
     "bias_step": 1e-5,
+    "magnetic": 1e-5,
     "bias_warmup": 1e-4,
-}  # a random walk or telegraph noise draws these by itself
+    "bias_temperature": 1e-4,
+    "bias_hysteresis": 1e-4,
+    "shupe": 1e-4,
+}
 ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 

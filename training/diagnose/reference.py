@@ -22,6 +22,8 @@ QUIET_LIMIT, MOVING = 4.0, 25.0  # times the quiet windows' power
 ROUNDS = 5
 LARGEST = 4.0
 KNOTS, CHUNK = 9, 100_000
+STIFF = 20.0
+HALF_WIDTHS = (4, 16, 64, 256)  # samples, to average a rate that stands still
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,33 @@ def unbiased(
     bound = LARGEST * ref.noise_dps
     usual = float(np.median(share * ref.gain))
     estimate = inverse_dct(spectrum * share * ref.gain) / level * (1.0 + gain * (1.0 - usual))
-    rate = ref.rate + np.clip(estimate, -bound, bound)
+    rate = settled(ref.rate + np.clip(estimate, -bound, bound))
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
+
+
+def settled(rate: FloatArray) -> FloatArray:
+    """The rate `(n,)` averaged wherever it stands still to within its own noise, over as long as it does.
+
+    On a level apart from others any function of the rate may have any slope, and would find there what the rate still
+    has of the residual's noise.
+    """
+    noise = _quiet_power(rate)
+    if noise <= 0.0:
+        return rate
+    level = rate.mean()
+    sums = np.concatenate([[0.0], np.cumsum(rate - level)])
+    squares = np.concatenate([[0.0], np.cumsum((rate - level) ** 2)])
+    index, out = np.arange(len(rate)), rate.copy()
+    for half in HALF_WIDTHS:
+        low, high = np.maximum(index - half, 0), np.minimum(index + half + 1, len(rate))
+        reach = np.minimum(index - low, high - 1 - index)  # the same on both sides, or a slope would pull
+        low, high = index - reach, index + reach + 1
+        count = high - low
+        mean = (sums[high] - sums[low]) / count
+        variance = (squares[high] - squares[low]) / count - mean**2
+        still = (reach >= half // 2) & (variance < noise * (1.1 + 4.0 * np.sqrt(2.0 / count)))
+        out[still] = mean[still] + level
+    return out
 
 
 def cleared(
@@ -86,6 +113,8 @@ def cleared(
     By least squares, before anything is named: any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
     bias.  A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²); a large error over
     temperature or rate looks like noise where the rate steps.  A delay and its drift are fitted along and left in.
+    The function of the rate may not bend so sharply that, on a level apart from others, it follows the reference's
+    noise: its second differences are penalised by that noise (a ridge on the change of slope).
     """
     if np.ptp(rate) < 0.5:
         return residual, np.zeros(len(residual))
@@ -108,6 +137,8 @@ def cleared(
     parts = [slice(i, i + CHUNK) for i in range(0, len(t), CHUNK)]
     pieces = [(x := design(p)[valid[p]], x.T @ x, x.T @ residual[p][valid[p]])[1:] for p in parts]
     gram, right = (np.sum([piece[i] for piece in pieces], axis=0) for i in (0, 1))
+    bend = np.diff(np.eye(KNOTS), 2, axis=0) / (knots[1] - knots[0])
+    gram[:KNOTS, :KNOTS] += STIFF * len(t) * _quiet_power(rate) * bend.T @ bend
     weights = np.linalg.lstsq(gram, right, rcond=1e-10)[0]
     weights[-2:] = 0.0
     step = 0.25 * float(knots[1] - knots[0])
@@ -119,6 +150,15 @@ def cleared(
 
 def _hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:
     return [np.interp(values, knots, row) for row in np.eye(len(knots))]
+
+
+def _quiet_power(rate: FloatArray) -> float:
+    """Power of the reference's fourth differences where it is quietest [dps²]: at least its noise."""
+    d = np.diff(rate, DIFFERENCES) / DIFFERENCE_NORM
+    count = len(d) // WINDOW
+    if count < 1:
+        return 0.0
+    return float(np.quantile(np.mean(d[: count * WINDOW].reshape(count, WINDOW) ** 2, axis=1), QUIET_SHARE))
 
 
 def _shared_noise(ref: FloatArray, residual: FloatArray) -> float:
