@@ -70,7 +70,9 @@ def test_a_tooth_error_of_the_axis_is_neither_noise_nor_a_line():
 
 
 def test_a_beat_in_time_is_unknown_and_driven_by_time():
-    first = diagnose(recording(45, lambda t, w, temp: 3e-3 * np.sign(np.sin(2 * np.pi * t / 470.0)))).findings[0]
+    first = diagnose(
+        recording(45, lambda t, w, temp: 3e-3 * np.sign(np.sin(2 * np.pi * t / 470.0)))
+    ).findings[0]
     assert (first.effect, first.driver) == ("unknown", "time")
 
 

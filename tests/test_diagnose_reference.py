@@ -51,7 +51,7 @@ def test_the_corrected_reference_errs_independently_of_the_residual():
     raw = np.corrcoef((ref - rate)[quiet], residual[quiet])[0, 1]
     left = np.corrcoef((corrected.rate - rate)[quiet], residual[quiet])[0, 1]
     assert raw < -0.9
-    assert abs(left) < 4.0 / np.sqrt(quiet.sum())
+    assert abs(left) < 0.1  # as well as the noise itself is known
 
 
 def test_clearing_takes_static_errors_and_leaves_a_delay():

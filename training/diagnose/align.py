@@ -51,7 +51,9 @@ class Timing:
         if self.corner_Hz is not None:
             moved = filtered(ref.rate, 1.0 / float(np.median(np.diff(t))), self.corner_Hz, self.poles)
         else:
-            moved = ref.moved(t, self.delay_s + 1e-6 * self.clock_ppm * (t - t[0])) if self.effects else ref.rate
+            moved = (
+                ref.moved(t, self.delay_s + 1e-6 * self.clock_ppm * (t - t[0])) if self.effects else ref.rate
+            )
         return replace(self, moved=moved, change_rms_dps=float(np.std(moved - ref.rate)))
 
 
@@ -200,7 +202,9 @@ def _decide(
     if both - only > SECOND and abs(timing.clock_ppm) > 6.0 * timing.clock_se:
         timing.effects["clock_drift"] = {"clock_ppm": timing.clock_ppm}
         timing.moved = ref.moved(t, timing.delay_s + 1e-6 * timing.clock_ppm * span)
-        timing.delay_s += 1e-6 * timing.clock_ppm * float(span[0])  # at the start, from where the drift counts
+        timing.delay_s += (
+            1e-6 * timing.clock_ppm * float(span[0])
+        )  # at the start, from where the drift counts
         timing.delay_se = float(np.hypot(timing.delay_se, 1e-6 * timing.clock_se * span[0]))
         if abs(timing.delay_s) > 6.0 * timing.delay_se and abs(timing.delay_s) * sampling > 0.02:
             timing.effects["timestamp_skew"] = {"delay_s": timing.delay_s}

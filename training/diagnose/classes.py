@@ -140,7 +140,7 @@ def with_classes(
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:
             close[TABLE], models[TABLE] = reference - score(table), table
-        close |= {effect: CLASS_COST for effect in _twins(part, library) - taken - set(close)}
+        close |= dict.fromkeys(_twins(part, library) - taken - set(close), CLASS_COST)
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
         rivals += [(i, rival) for rival in models.values()]
     return Model(parts, model.frame, model.fit), rivals

@@ -45,7 +45,13 @@ def tau_grid(low: float, high: float, count: int) -> Callable[[Survey], list[Par
     return grid
 
 
-ORDERS = (1, 2, 3, 4, 6)  # a cubic serves all but the strongest: their next orders must not pass for another effect
+ORDERS = (
+    1,
+    2,
+    3,
+    4,
+    6,
+)  # a cubic serves all but the strongest: their next orders must not pass for another effect
 
 
 def order_grid(survey: Survey) -> list[Parameters]:
@@ -256,7 +262,8 @@ def stop_grid(survey: Survey) -> list[Parameters]:
     """
     chunks = max(1, -(-len(survey.stops) // MOST_STOPS))
     return [
-        {"chunk": float(i)} | {f"{k}_{j}": v for j, stop in enumerate(part) for k, v in zip(("of", "at_s"), stop, strict=True)}
+        {"chunk": float(i)}
+        | {f"{k}_{j}": v for j, stop in enumerate(part) for k, v in zip(("of", "at_s"), stop, strict=True)}
         for i, part in enumerate(survey.stops[i::chunks] for i in range(chunks))
         if len(part) > 1
     ]
@@ -265,7 +272,8 @@ def stop_grid(survey: Survey) -> list[Parameters]:
 def after_stops(work: Work, p: Parameters) -> list[FloatArray]:
     """1 from the end of each stop on, in its recording."""
     return [
-        (work.t >= p[f"at_s_{j}"]).astype(float) * (work.index == int(p[f"of_{j}"])) for j in range(len(p) // 2)
+        (work.t >= p[f"at_s_{j}"]).astype(float) * (work.index == int(p[f"of_{j}"]))
+        for j in range(len(p) // 2)
     ]
 
 

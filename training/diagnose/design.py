@@ -226,7 +226,16 @@ class Library:
 
         def run(part: NDArray[np.int64]) -> None:
             scan_these(
-                *arguments, fit.weights, frame.q, self.widths, self.starts, self.places, ROUNDS, INNER, part, out
+                *arguments,
+                fit.weights,
+                frame.q,
+                self.widths,
+                self.starts,
+                self.places,
+                ROUNDS,
+                INNER,
+                part,
+                out,
             )
 
         with ThreadPoolExecutor(THREADS) as pool:

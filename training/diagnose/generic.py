@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from training.diagnose.library import PPM, Group, Parameters, Survey
+from training.diagnose.library import PPM, Group, Parameters
 from training.diagnose.work import FloatArray, Work
 
 HATS = (9, 21, 41)  # a smooth function, and ones that can bend within a few percent of the range
@@ -159,7 +159,9 @@ def _shapes(driver: str, sets: dict[float, FloatArray]) -> list[Parameters]:
     ):
         if driver in drivers:
             found += [
-                {"hats": 0.0, kind: float(c), "width": float(share * span)} for share in widths for c in centres
+                {"hats": 0.0, kind: float(c), "width": float(share * span)}
+                for share in widths
+                for c in centres
             ]
     if driver in WAVING:
         harmonics = HARMONICS.get(driver, 1.0)

@@ -74,7 +74,14 @@ GROUPS: tuple[Group, ...] = (
         RATE,
     ),
     Group("dead_band", c.dead_grid, c.dead_band, c.fixed_names(("depth", "1")), RATE, ("lock_dps",)),
-    Group("saturation", c.knee_grid, c.beyond_knee, c.fixed_names(("loss", "1")), RATE, ("limit_dps", "soft_dps")),
+    Group(
+        "saturation",
+        c.knee_grid,
+        c.beyond_knee,
+        c.fixed_names(("loss", "1")),
+        RATE,
+        ("limit_dps", "soft_dps"),
+    ),
     Group(
         "polarization_ripple",
         c.ripple_grid,

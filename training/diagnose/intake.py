@@ -15,8 +15,8 @@ from training.diagnose.fast import (
     variance_model,
 )
 from training.diagnose.integrity import check
-from training.diagnose.prepare import prepare
 from training.diagnose.orders import without_orders
+from training.diagnose.prepare import prepare
 from training.diagnose.reference import Reference, cleared, reference, unbiased
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation

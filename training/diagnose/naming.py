@@ -19,8 +19,16 @@ MAX_SHAPES = 2
 CLASS_COST = 10.0
 CLASS_SHARE = 0.012  # a group's shape is that much unlike the true one, so a rival may cost that share more
 MOST_SHARE = 40.0
-LEAST_SHARE = (0.001, 0.009, 0.05)  # of a stronger effect's χ², below which a weak one is taken for its shape error:
-MOST_CHI2 = (100.0, 400.0, np.inf)  # acting on something else; on the same (bias, scale factor); and going alike too
+LEAST_SHARE = (
+    0.001,
+    0.009,
+    0.05,
+)  # of a stronger effect's χ², below which a weak one is taken for its shape error:
+MOST_CHI2 = (
+    100.0,
+    400.0,
+    np.inf,
+)  # acting on something else; on the same (bias, scale factor); and going alike too
 STRONGER = 10.0
 GIANT = 2000.0
 ONE_SHAPE = frozenset({"dead_band"})

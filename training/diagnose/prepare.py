@@ -10,7 +10,11 @@ MAX_BLOCKS = 40_000
 MIN_STEP_S = 0.05
 GRAVITY = 9.80665
 STANDING_MPS, STOP_S = 0.1, 4.0
-SMOOTHING_S = ((0.03, 1.5, 8.0), (0.2, 4.0, 25.0), (np.inf, 20.0, 40.0))  # (grain [K] below which, widths [s])
+SMOOTHING_S = (
+    (0.03, 1.5, 8.0),
+    (0.2, 4.0, 25.0),
+    (np.inf, 20.0, 40.0),
+)  # (grain [K] below which, widths [s])
 
 
 def prepare(
@@ -161,7 +165,9 @@ def _stops(t: FloatArray, speed: FloatArray) -> FloatArray:
     """When every standstill of some seconds ended [s]."""
     still = np.nan_to_num(speed, nan=np.inf) < STANDING_MPS
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    ends = [min(b, len(t) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if t[b - 1] - t[a] > STOP_S]
+    ends = [
+        min(b, len(t) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if t[b - 1] - t[a] > STOP_S
+    ]
     return t[ends]
 
 
@@ -171,7 +177,8 @@ def _coil_tau(works: list[Work]) -> float:
         return 0.0
     taus = np.geomspace(5.0, 2000.0, 40)
     misfit = [
-        sum(float(np.sum((low_pass(w.temp, w.step_s, tau) - w.extra["coil"]) ** 2)) for w in works) for tau in taus
+        sum(float(np.sum((low_pass(w.temp, w.step_s, tau) - w.extra["coil"]) ** 2)) for w in works)
+        for tau in taus
     ]
     return float(taus[int(np.argmin(misfit))])
 

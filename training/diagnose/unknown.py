@@ -36,7 +36,9 @@ TIME_ALPHA = (
 )
 CYCLE_ALPHA = 1e-5  # but it keeps no beat
 SHAPE_SHARE = 0.03  # a name that leaves less than this of its own waveform is right, if not to the last digit
-STANDS_OUT = 0.1  # share of the strongest name's χ² from which something without a name is a finding beside it
+STANDS_OUT = (
+    0.1  # share of the strongest name's χ² from which something without a name is a finding beside it
+)
 BESIDE_ALPHA = 1e-6
 RATE_DRIVERS = frozenset(
     {
@@ -113,11 +115,7 @@ def unexplained(
     found = residual_scan(generic, model, null)
     if not found:
         return model, None
-    strict = {
-        d: c
-        for d, c in found.items()
-        if null.p_value(c.excess) < _alpha(d, c)
-    }
+    strict = {d: c for d, c in found.items() if null.p_value(c.excess) < _alpha(d, c)}
     if not strict:
         return model, None
     driver, top = max(strict.items(), key=lambda item: item[1].excess)
