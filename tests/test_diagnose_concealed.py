@@ -43,7 +43,7 @@ def test_a_strong_static_slope_of_a_hysteresis_is_an_effect_of_its_own():
 
 
 def test_zeros_taken_at_stops_are_auto_zero():
-    t, rate, _ = profile()
+    t, _, _ = profile()
     speed = np.where((t % 900.0) < 60.0, 0.0, 12.0)
     ends = t[1:][(speed[1:] > 0.0) & (speed[:-1] == 0.0)]
     zeros = np.random.default_rng(2).normal(0.0, 0.01, len(ends))

@@ -261,12 +261,13 @@ def stop_grid(survey: Survey) -> list[Parameters]:
     Many stops are dealt out to several points, which the search may all take.
     """
     chunks = max(1, -(-len(survey.stops) // MOST_STOPS))
-    return [
-        {"chunk": float(i)}
-        | {f"{k}_{j}": v for j, stop in enumerate(part) for k, v in zip(("of", "at_s"), stop, strict=True)}
-        for i, part in enumerate(survey.stops[i::chunks] for i in range(chunks))
-        if len(part) > 1
-    ]
+    found: list[Parameters] = []
+    for i in range(chunks):
+        part = survey.stops[i::chunks]
+        of = {f"of_{j}": recording for j, (recording, _) in enumerate(part)}
+        at = {f"at_s_{j}": end for j, (_, end) in enumerate(part)}
+        found += [{"chunk": float(i), **of, **at}] if len(part) > 1 else []
+    return found
 
 
 def after_stops(work: Work, p: Parameters) -> list[FloatArray]:

@@ -94,7 +94,7 @@ def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
 def _smoothing(analysis: Analysis) -> float:
     """Time constant [s] that takes the temperature's steps out of its slope, as the diagnosis smoothed it."""
     temps = [i.checked.columns["temp_degC"] for i in analysis.intakes if "temp_degC" in i.checked.columns]
-    return max((smoothing_s(temp) for temp in temps), default=LEAST_SMOOTHING_S)
+    return max((smoothing_s(temp)[1] for temp in temps), default=LEAST_SMOOTHING_S)
 
 
 def _smoothed(shupe: dict[str, float], width_s: float) -> dict[str, float]:

@@ -224,7 +224,7 @@ def forward(library: Library, domains: Sequence[Domain], null: Null) -> Model:
 
 
 def leading(library: Library, domains: Sequence[Domain], null: Null) -> Model | None:
-    """The model of what is so large that nothing can be said of the noise before it is taken out; None if nothing is."""
+    """The model of what is so large that it must be taken out before the noise is judged; None if nothing is."""
     model, found = build([], domains), None
     for _ in range(MAX_EFFECTS):
         scanned = residual_scan(library, model, null)

@@ -111,11 +111,11 @@ def cleared(
 ) -> tuple[FloatArray, FloatArray]:
     """(residual without what is neither timing nor noise, gain error of what was taken), both `(n,)`.
 
-    By least squares, before anything is named: any function of the rate, a scale factor that changes slowly with time or with temperature, and a static
-    bias.  A scale factor drifting by s' per second looks like a delay of s'·∫ω²/(2∫ω̇²); a large error over
-    temperature or rate looks like noise where the rate steps.  A delay and its drift are fitted along and left in.
-    The function of the rate may not bend so sharply that, on a level apart from others, it follows the reference's
-    noise: its second differences are penalised by that noise (a ridge on the change of slope).
+    By least squares, before anything is named: any function of the rate, a scale factor that changes slowly with time
+    or with temperature, and a static bias.  A scale factor drifting by s' per second looks like a delay of
+    s'·∫ω²/(2∫ω̇²); a large error over temperature or rate looks like noise where the rate steps.  A delay and its
+    drift are fitted along and left in.  The function of the rate may not bend so sharply that, on a level apart from
+    others, it follows the reference's noise: its second differences are penalised by that noise.
     """
     if np.ptp(rate) < 0.5:
         return residual, np.zeros(len(residual))

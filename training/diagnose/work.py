@@ -7,6 +7,7 @@ model are a linear model of block means, so nothing is lost but the noise above 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Work:
         """Block means of a function of the full-rate true rate."""
         return self.average(function(self.full["w"]))
 
-    def transform(self, columns: FloatArray) -> FloatArray:
+    def transform(self, columns: NDArray[Any]) -> NDArray[Any]:
         """Orthonormal transform of columns `(n, k)` in which the noise is independent from row to row."""
         weighted = columns / self.spread.reshape(-1, 1).astype(columns.dtype)
         if self.points:
