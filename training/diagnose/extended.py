@@ -4,6 +4,7 @@ Only effects that are causal in rate, temperature and time since power-on get a 
 provenance.  Where the simulation was a model file its surface, rules and terms come along.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
 from training.diagnose.generic import HATS, VALUES, basis_of, grain_of, knots_of
-from training.diagnose.library import Parameters
+from training.diagnose.library import ROOM_DEGC, Parameters
 from training.diagnose.measured import in_measured_rate
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
@@ -21,6 +22,7 @@ from training.diagnose.prepare import smoothing_s
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
 
+HIGH_CORNERS = 257
 CORNERS = 65  # knots of an empirical term that is not piecewise linear in its driver
 LEAST_SMOOTHING_S = 8.0
 SHARP_WIDTHS = 4.0  # half-widths of a transition that get knots of their own
@@ -44,8 +46,16 @@ def terms_of(analysis: Analysis, diagnosis: Diagnosis) -> tuple[list[Term], list
     told = {term.effect for term in terms}
     left = [f.effect for f in diagnosis.findings if f.effect not in (*told, *_modelled(analysis), "unknown")]
     model = analysis.model
+    temps = [d.work.temp for d in analysis.domains]
+    temp_degC = (
+        (min(float(t.min()) for t in temps), max(float(t.max()) for t in temps)) if temps else (0.0, 1.0)
+    )
     for part, where in zip(model.parts, model.slices(), strict=True) if model is not None else ():
-        found = _part_terms(part, model.fit.beta[where]) if model is not None and part.effect in TERMS else []
+        found = (
+            _part_terms(part, model.fit.beta[where], temp_degC)
+            if model is not None and part.effect in TERMS
+            else []
+        )
         if part.effect == "shupe":
             found = [Term(t.effect, dict(_smoothed(_numbers(t), _smoothing(analysis)))) for t in found]
         terms += found
@@ -70,10 +80,11 @@ def coefficient_terms(diagnosis: Diagnosis) -> list[Term]:
     return terms
 
 
-def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
+def _part_terms(part: Part, beta: np.ndarray, temp_degC: tuple[float, float]) -> list[Term]:
     """One term per point of the part's shape; a static slope that belongs to a hysteresis becomes a term of its own.
 
-    None at all where a coefficient has no place in the term.
+    Orders of a polynomial beyond the term's become a piecewise linear function over `temp_degC` (low, high).  None at
+    all where a coefficient has no place in the term.
     """
     terms, at = [], 0
     kind = TERMS[part.effect]
@@ -81,7 +92,10 @@ def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
         linear = part.group.linear(point)
         values = {name: float(v) for (name, _), v in zip(linear, beta[at : at + len(linear)], strict=True)}
         at += len(linear)
-        shape = {"ln_tau_s": LN_TAU_S[point["shape"]]} if point.get("shape") in LN_TAU_S else {}
+        higher, values = _higher_orders(values, kind.names, temp_degC) if "high" in point else ([], values)
+        terms += higher
+        shape = {"tau_s": point["coil_tau_s"]} if "coil_tau_s" in point else {}
+        shape |= {"ln_tau_s": LN_TAU_S[point["shape"]]} if point.get("shape") in LN_TAU_S else {}
         own = {k: float(v) for k, v in {**point, **shape, **values}.items() if k in kind.names}
         static = {k: v for k, v in values.items() if k in STATIC and k not in kind.names}
         if not set(kind.required) <= set(own) or not set(values) <= {*own, *static}:
@@ -89,6 +103,28 @@ def _part_terms(part: Part, beta: np.ndarray) -> list[Term]:
         terms.append(Term(part.effect, dict(own)))
         terms += [Term(STATIC[key], {key: value}) for key, value in static.items()]
     return terms
+
+
+def _higher_orders(
+    values: dict[str, float], known: Sequence[str], temp_degC: tuple[float, float]
+) -> tuple[list[Term], dict[str, float]]:
+    """(a piecewise linear term of the orders that the polynomial's own term has no names for, the other values)."""
+    beyond = {name: v for name, v in values.items() if name not in known}
+    knots = np.linspace(*temp_degC, HIGH_CORNERS)
+    h = knots - ROOM_DEGC
+    total = sum(
+        (v * h ** int(name[1]) for name, v in beyond.items()), np.zeros(len(h))
+    )  # b4…, s4…: the order's digit
+    term = Term(
+        "unknown",
+        {
+            "driver": "temperature",
+            "times_rate": float(any("ppm" in name for name in beyond)),
+            "knots": knots.tolist(),
+            "values": total.tolist(),
+        },
+    )
+    return [term], {name: v for name, v in values.items() if name in known}
 
 
 def _smoothing(analysis: Analysis) -> float:
