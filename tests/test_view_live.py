@@ -60,6 +60,13 @@ def session():
     opened.close()
 
 
+def wait_for(condition, timeout_s=20.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
 def watch(session, path, sends, wait_s=0.4):
     with open_sink(save=path) as sink:
         viewer = Viewer(session, "t", sink)
@@ -119,17 +126,40 @@ def test_a_flood_is_thinned_for_a_screen_and_counted(session, tmp_path):
         assert row["logged"] < 7_000
 
 
-def test_another_encoding_is_refused_with_the_way_on(session, tmp_path):
+@pytest.mark.parametrize("encoding", ["json", "cdr"])
+def test_whatever_the_rates_are_encoded_as_the_viewer_gets_every_value(session, tmp_path, encoding):
     with open_sink(save=tmp_path / "j.rrd") as sink:
         viewer = Viewer(session, "t", sink)
         viewer.start()
-        publisher = Publisher(session, "t", ("x",), time.time_ns, encoding="json", lossless=True)
+        aliases = {"x": "0/imu/sensor_msgs::msg::dds_::Imu_/hash"}
+        publisher = Publisher(
+            session, "t", ("x",), time.time_ns, encoding=encoding, lossless=True, aliases=aliases
+        )
+        assert publisher.wait_for_subscribers(5.0)
         publisher.start()
-        publisher.offer(samples(0, 5), np.zeros(5, np.uint8), 0)
-        time.sleep(0.5)
+        publisher.offer(samples(0, 50), np.zeros(50, np.uint8), 0)
         publisher.close()
-        with pytest.raises(WorkError, match="--encoding"):
-            viewer.stop()
+        wait_for(lambda: viewer.counts()["channels"].get("x", {}).get("logged") == 50)
+        viewer.stop()
+    _, rates = Rrd(tmp_path / "j.rrd").scalars("/x/rate")
+    assert rates[:, 1].tolist() == samples(0, 50)["rate_dps"].tolist()
+
+
+def test_what_is_not_ours_is_said_in_one_sentence(session, tmp_path):
+    session.declare_queryable("t/x/schema", lambda query: query.reply("t/x/schema", '{"size": 3}'))
+    session.declare_queryable("t/y/schema", lambda query: query.reply("t/y/schema", "<html>"))
+    for key, payload, told in (
+        ("t/x/batch", b"abc", "t/x/schema is not a sample's layout"),
+        ("t/y/batch", b"abc", "t/y/schema answers what is not JSON"),
+        ("t/z/batch", b"abc", "3 bytes are not samples"),
+    ):
+        with open_sink(save=tmp_path / "n.rrd") as sink:
+            viewer = Viewer(session, "t", sink)
+            viewer.start()
+            session.put(key, payload)
+            wait_for(lambda: not viewer.running())  # noqa: B023 - called at once
+            with pytest.raises(WorkError, match=told):
+                viewer.stop()
 
 
 def test_no_display_and_no_stream_are_said_in_one_sentence(monkeypatch, tmp_path):

@@ -1,11 +1,10 @@
-"""Live from zenoh: samples of every channel are gathered in a bounded ring and logged ten times a second."""
+"""Live from zenoh: batches of samples of every channel wait in a bounded ring and are logged ten times a second."""
 
 import json
 import logging
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,8 @@ import numpy as np
 from rtcomp.compensator import predict
 from rtcomp.errors import WorkError
 from rtcomp.frames import CORRECTED, Flag
-from rtcomp.model import Model, new_model, parse_model
+from rtcomp.model import new_model
+from rtcomp.view.asking import active_models, sample_layout
 from rtcomp.view.channel_scene import ChannelScene, style_operating_point
 from rtcomp.view.layout import live_blueprint
 from rtcomp.view.report import about_models
@@ -25,10 +25,10 @@ from rtcomp.view.thinning import History, thin
 log = logging.getLogger(__name__)
 
 BATCH_S = 0.1
-RING = 1 << 15  # samples that may wait; older ones give way, and are counted by their sequence numbers
+RING = 1 << 10  # batches that may wait; older ones give way, and are counted by their sequence numbers
+BACKLOG = 3  # so many waiting batches of a channel are still logged one by one; more are thinned together
 PAUSE_S = 2.0
 HISTORY_EVERY_S = 60.0
-ANSWER_S = 1.0
 NOTHING = np.zeros(0)
 
 
@@ -119,7 +119,7 @@ class Viewer:
             new_model(), NOTHING, NOTHING
         )  # compiles, or loads what was compiled, before samples wait for it
         ring = zenoh.handlers.RingChannel
-        self._rates = self.session.declare_subscriber(f"{self.prefix}/*/rate", ring(RING))
+        self._batches = self.session.declare_subscriber(f"{self.prefix}/*/batch", ring(RING))
         self._healths = self.session.declare_subscriber(f"{self.prefix}/*/health", ring(256))
         self._alive = self.session.liveliness().declare_subscriber(
             f"{self.prefix}/*/alive", ring(64), history=True
@@ -133,7 +133,7 @@ class Viewer:
         """
         self._stopped.set()
         self._thread.join()
-        for subscriber in (self._rates, self._healths, self._alive):
+        for subscriber in (self._batches, self._healths, self._alive):
             subscriber.undeclare()
         if self.error is not None:
             raise self.error
@@ -172,12 +172,13 @@ class Viewer:
             if not str(event.kind).endswith("DELETE"):
                 self._unsure.add(_channel_of(event))
         batches: dict[str, list[bytes]] = defaultdict(list)
-        for sample in self._drain(self._rates):
+        for sample in self._drain(self._batches):
             batches[_channel_of(sample)].append(sample.payload.to_bytes())
         for name in sorted({*batches, *self._unsure}):
             self._ask(name)
         for name, payloads in batches.items():
-            self._log(self.channels[name], payloads)
+            for part in payloads if len(payloads) <= BACKLOG else [b"".join(payloads)]:
+                self._log(self.channels[name], part)
         for sample in self._drain(self._healths):
             if (channel := self.channels.get(_channel_of(sample))) is not None:
                 channel.health(json.loads(sample.payload.to_bytes()))
@@ -199,45 +200,22 @@ class Viewer:
             self._unsure.add(name)
         if name in self._unsure:
             self._unsure.discard(name)
-            channel = self.channels[name]
-            channel.dtype = self._layout(name)
-            models = self._models(name)
+            channel, key = self.channels[name], f"{self.prefix}/{name}"
+            channel.dtype = sample_layout(self.session, key)
+            models = active_models(self.session, key)
             channel.scene.swap(models)
             text = about_models(name, models)
             self.sink.stream.log(
                 f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True
             )
 
-    def _query(self, key: str) -> Any:
-        for reply in self.session.get(key, timeout=ANSWER_S):
-            if reply.ok is not None:
-                return json.loads(reply.ok.payload.to_bytes())
-        return None
-
-    def _layout(self, name: str) -> np.dtype[Any]:
-        """The sample's layout as the publisher states it; ours where it does not answer."""
-        layout = self._query(f"{self.prefix}/{name}/schema")
-        if layout is None:
-            return CORRECTED
-        if layout.get("encoding", "struct") != "struct":
+    def _log(self, channel: Channel, payload: bytes) -> None:
+        if len(payload) % channel.dtype.itemsize:
             raise WorkError(
-                f"{self.prefix}/{name}/rate is {layout['encoding']}; the viewer reads struct: run without --encoding"
+                f"{self.prefix}/{channel.name}/batch: {len(payload)} bytes are not samples of "
+                f"{channel.dtype.itemsize} bytes as …/schema states; is it another program's key?"
             )
-        names, formats, offsets = zip(*layout["fields"], strict=True)
-        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout["size"]})
-
-    def _models(self, name: str) -> Sequence[Model]:
-        answer = self._query(f"{self.prefix}/{name}/model")
-        documents = answer if isinstance(answer, list) else [answer]
-        return [parse_model(json.dumps(document), f"model of {name}") for document in documents if document]
-
-    def _log(self, channel: Channel, payloads: list[bytes]) -> None:
-        if any(len(payload) != channel.dtype.itemsize for payload in payloads):
-            raise WorkError(
-                f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes"
-            )
-        samples = np.frombuffer(b"".join(payloads), channel.dtype)
-        if channel.add(samples):
+        if payload and channel.add(np.frombuffer(payload, channel.dtype)):
             self._unsure.add(channel.name)
 
     def _watch(self) -> None:
