@@ -23,9 +23,10 @@ SERIES = {
     "correction": (["+1 σ", "−1 σ", "correction"], [colours.BAND, colours.BAND, colours.REFERENCE]),
     "temperature": (["temperature"], [colours.TEMPERATURE]),
     "temperature_rate": (["dT/dt"], [colours.TEMPERATURE]),
-    "latency": (["p50", "p99"], [colours.CORRECTED, colours.RAW]),
+    "latency/p50": (["p50"], [colours.CORRECTED]),
+    "latency/p99": (["p99"], [colours.RAW]),
     "losses": (
-        ["lost before us", "lost in our queue", "rejected", "lost on the way here", "thinned here"],
+        ["receiver", "queue", "rejected", "transport", "thinned here"],
         [colours.RAW, colours.TEMPERATURE, colours.RULES, colours.CORRECTED, colours.BAND],
     ),
     "true_rate": (["true rate"], [colours.REFERENCE]),
@@ -144,7 +145,8 @@ class ChannelStreams:
         when = self._times(np.array([t_ns]))
         total = (document.get("stages_us") or {}).get("total")
         if total:
-            self._scalars("latency", when, np.array([[total["p50"], total["p99"]]]))
+            for percentile in ("p50", "p99"):  # in plots of their own: one may be a hundred times the other
+                self._scalars(f"latency/{percentile}", when, np.array([total[percentile]]))
         losses = document.get("losses") or {}
         rejected = sum((document.get("rejected") or {}).values())
         row = [losses.get("receiver", 0), losses.get("queue", 0), rejected, missed, thinned]
