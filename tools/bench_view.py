@@ -173,8 +173,10 @@ class Watching:
     def end(self) -> dict[str, Any]:
         """The viewer's own report and its memory."""
         self.process.send_signal(signal.SIGTERM)
-        text = self.process.communicate(timeout=60)[0].strip().splitlines()
-        told = json.loads(text[-1]) if text else {}
+        out, errors = self.process.communicate(timeout=60)
+        if self.process.returncode:
+            raise click.ClickException(f"the viewer ended with {self.process.returncode}: {errors.strip()}")
+        told = json.loads(out.strip().splitlines()[-1])
         if self.trace:
             told["viewer_peak_MiB"], told["rerun_peak_MiB"] = np.array(self.trace)[:, 1:].max(axis=0).tolist()
             told["memory_MiB"] = self.trace[:: max(len(self.trace) // 20, 1)]

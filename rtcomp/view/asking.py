@@ -29,14 +29,14 @@ def ask(session: Any, key: str) -> Any:
     return None
 
 
-def sample_layout(session: Any, channel_key: str) -> np.dtype[Any]:
-    """The sample's layout as `…/schema` states it; ours where nobody answers.
+def sample_layout(session: Any, channel_key: str) -> np.dtype[Any] | None:
+    """The sample's layout as `…/schema` states it; None where nobody answers.
 
     Raises WorkError for a schema that cannot be read, or that lacks what the viewer shows.
     """
     schema = ask(session, f"{channel_key}/schema")
     if schema is None:
-        return CORRECTED
+        return None
     try:
         names, formats, offsets = zip(*schema["fields"], strict=True)
         layout = np.dtype(

@@ -109,10 +109,13 @@ def _running(name: str, window_s: float | None) -> Any:
         _plot(name, "history/correction", "correction", None),
         _plot(name, "history/temperature", "temperature", None),
     ]
-    latency = [_plot(name, f"latency/{p}", f"latency {p} [µs]", None) for p in ("p50", "p99")]
+    latency = [
+        _plot(name, f"latency/{p}", title, None)
+        for p, title in {"p50": "latency p50 [µs]", "p99": "p99 [µs]"}.items()
+    ]
     losses = _plot(name, "losses", "samples lost, in all", None)
     return rrb.Horizontal(
-        rrb.Tabs(status, *past, about), rrb.Tabs(*latency), losses, column_shares=[1.7, 1, 1.3]
+        rrb.Tabs(status, *past, about), rrb.Tabs(*latency), losses, column_shares=[1.4, 1.35, 1.25]
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import threading
 import time
 from collections import defaultdict
@@ -28,6 +29,8 @@ BATCH_S = 0.1
 RING = 1 << 10  # batches that may wait; older ones give way, and are counted by their sequence numbers
 BACKLOG = 3  # so many waiting batches of a channel are still logged one by one; more are thinned together
 PAUSE_S = 2.0
+ASK_AGAIN_S = 5.0
+LAST_S = 10.0  # how long the last data may take
 HISTORY_EVERY_S = 60.0
 NOTHING = np.zeros(0)
 
@@ -109,7 +112,7 @@ class Viewer:
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._history_due = time.monotonic() + 1.0
-        self._unsure: set[str] = set()  # channels whose model is to be asked for
+        self._unsure: dict[str, float] = {}  # channels whose layout and models are to be asked for, and when
 
     def start(self) -> None:
         """Subscribe and begin to log."""
@@ -129,10 +132,14 @@ class Viewer:
     def stop(self) -> None:
         """Log what has come in up to now and unsubscribe.
 
-        Raises the error that ended the thread, if one did.
+        Raises the error that ended the thread, if one did, and WorkError when rerun takes no data any more.
         """
         self._stopped.set()
-        self._thread.join()
+        self._thread.join(LAST_S)
+        if self._thread.is_alive():
+            raise WorkError(
+                f"rerun's viewer has taken no data for {LAST_S:g} s; it stands still or is stopped"
+            )
         for subscriber in (self._batches, self._healths, self._alive):
             subscriber.undeclare()
         if self.error is not None:
@@ -170,12 +177,12 @@ class Viewer:
     def _tick(self) -> None:
         for event in self._drain(self._alive):
             if not str(event.kind).endswith("DELETE"):
-                self._unsure.add(_channel_of(event))
+                self._unsure[_channel_of(event)] = 0.0
         batches: dict[str, list[bytes]] = defaultdict(list)
         for sample in self._drain(self._batches):
             batches[_channel_of(sample)].append(sample.payload.to_bytes())
         for name in sorted({*batches, *self._unsure}):
-            self._ask(name)
+            self._meet(name)
         for name, payloads in batches.items():
             for part in payloads if len(payloads) <= BACKLOG else [b"".join(payloads)]:
                 self._log(self.channels[name], part)
@@ -192,22 +199,28 @@ class Viewer:
                 return
             yield sample
 
-    def _ask(self, name: str) -> None:
+    def _meet(self, name: str) -> None:
         """Make the channel if it is new, and learn its layout and models if they are not known."""
         if name not in self.channels:
             self.channels[name] = Channel(self.sink, name)
             self.sink.stream.send_blueprint(live_blueprint(sorted(self.channels), self._window_s))
-            self._unsure.add(name)
-        if name in self._unsure:
-            self._unsure.discard(name)
-            channel, key = self.channels[name], f"{self.prefix}/{name}"
-            channel.dtype = sample_layout(self.session, key)
-            models = active_models(self.session, key)
-            channel.scene.swap(models)
-            text = about_models(name, models)
-            self.sink.stream.log(
-                f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True
-            )
+            self._unsure[name] = 0.0
+        if time.monotonic() >= self._unsure.get(name, math.inf):
+            self._ask(self.channels[name])
+
+    def _ask(self, channel: Channel) -> None:
+        """Learn a channel's layout and models; where nobody answers, ours are assumed until asked again."""
+        key = f"{self.prefix}/{channel.name}"
+        layout = sample_layout(self.session, key)
+        if layout is None:
+            self._unsure[channel.name] = time.monotonic() + ASK_AGAIN_S
+            return
+        del self._unsure[channel.name]
+        channel.dtype = layout
+        models = active_models(self.session, key)
+        channel.scene.swap(models)
+        text = load_rerun().TextDocument(about_models(channel.name, models), media_type="text/markdown")
+        self.sink.stream.log(f"{channel.name}/about", text, static=True)
 
     def _log(self, channel: Channel, payload: bytes) -> None:
         if len(payload) % channel.dtype.itemsize:
@@ -216,7 +229,7 @@ class Viewer:
                 f"{channel.dtype.itemsize} bytes as …/schema states; is it another program's key?"
             )
         if payload and channel.add(np.frombuffer(payload, channel.dtype)):
-            self._unsure.add(channel.name)
+            self._unsure[channel.name] = 0.0
 
     def _watch(self) -> None:
         now = time.monotonic()
