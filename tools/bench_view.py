@@ -167,8 +167,10 @@ class Watching:
         import psutil
 
         own = psutil.Process(self.process.pid)
-        sizes = [sum(p.memory_info().rss for p in group) / 2**20 for group in ([own], own.children(True))]
-        self.trace.append((round(time.monotonic() - self._started, 1), *(round(size, 1) for size in sizes)))
+        viewer, rerun = (
+            round(sum(p.memory_info().rss for p in group) / 2**20, 1) for group in ([own], own.children(True))
+        )
+        self.trace.append((round(time.monotonic() - self._started, 1), viewer, rerun))
 
     def end(self) -> dict[str, Any]:
         """The viewer's own report and its memory."""

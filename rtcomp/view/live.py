@@ -30,7 +30,7 @@ RING = 1 << 10  # batches that may wait; older ones give way, and are counted by
 BACKLOG = 3  # so many waiting batches of a channel are still logged one by one; more are thinned together
 PAUSE_S = 2.0
 ASK_AGAIN_S = 5.0
-LAST_S = 10.0  # how long the last data may take
+LAST_S = 30.0  # how long the last data may take
 HISTORY_EVERY_S = 60.0
 NOTHING = np.zeros(0)
 
