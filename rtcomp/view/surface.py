@@ -129,7 +129,7 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     tops = box.place(T, w, height)
     stems = np.stack([box.place(T, w, floor), tops], axis=1)
     lowest = np.concatenate(rings)[np.argmin(np.concatenate(outlines)[:, 1])]
-    log_note(stream, f"{path}/label", lowest, "rules, 1 σ", colours.RULES)
+    log_note(stream, f"{path}/label", lowest, "rules, 1 σ")
     stream.log(f"{path}/widths", rr.LineStrips3D(rings, colors=[colours.RULES], radii=[-0.8]), static=True)
     stream.log(
         f"{path}/stems", rr.LineStrips3D(list(stems), colors=[colours.RULES], radii=[-0.4]), static=True
@@ -139,9 +139,11 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     stream.log(f"{path}/centers", dots, static=True)
 
 
-def log_note(stream: Any, path: str, place: np.ndarray, text: str, color: tuple[int, ...]) -> None:
+def log_note(stream: Any, path: str, place: np.ndarray, text: str) -> None:
     """Log a short text at a place of the scene, shape `(3,)`."""
-    note = load_rerun().Points3D([place], labels=[text], show_labels=True, radii=[-0.1], colors=[color])
+    note = load_rerun().Points3D(
+        [place], labels=[text], show_labels=True, radii=[-0.1], colors=[colours.TEXT]
+    )
     stream.log(path, note, static=True)
 
 
@@ -173,7 +175,7 @@ def log_validity(stream: Any, path: str, models: Sequence[Model], box: Box) -> N
     edges = [box.place(T, w, z) for z in (-box.limit_dps, box.limit_dps)]
     edges += [box.place([t, t], [r, r], [-box.limit_dps, box.limit_dps]) for t, r in ring[:4]]
     stream.log(path, rr.LineStrips3D(edges, colors=[colours.VALIDITY], radii=[-0.6]), static=True)
-    log_note(stream, f"{path}/label", box.place(t0, w1, box.limit_dps), "valid range", colours.VALIDITY)
+    log_note(stream, f"{path}/label", box.place(t0, w1, box.limit_dps), "valid range")
 
 
 def valid_range(models: Sequence[Model], name: str) -> tuple[float, float] | None:
