@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rtcomp.batches import Batches
 from rtcomp.encodings import ENCODERS, MIME
 from rtcomp.frames import c_declaration, schema
 from rtcomp.latency import Stage
@@ -32,7 +33,7 @@ class Batch(NamedTuple):
 
 
 class Publisher:
-    """Publishes `…/rate` per sample, `…/health` at 1 Hz, and answers `…/model` and `…/schema`.
+    """Publishes `…/rate` per sample, `…/batch`, `…/health` at 1 Hz, and answers `…/model` and `…/schema`.
 
     `offer` is called by the thread that corrects; all else happens in the publisher's own thread.
     """
@@ -75,6 +76,17 @@ class Publisher:
             )
             for name in names
         ]
+        self._batches = Batches(
+            [
+                session.declare_publisher(
+                    self.key(name, "batch"),
+                    encoding=zenoh.Encoding(MIME["struct"]),
+                    congestion_control=control,
+                    priority=zenoh.Priority.DATA_LOW,
+                )
+                for name in names
+            ]
+        )
         self._healths = [session.declare_publisher(self.key(name, "health")) for name in names]
         self._declared = [self._declare(name) for name in names]
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
@@ -94,12 +106,16 @@ class Publisher:
 
     def start(self) -> None:
         """Start the thread."""
+        self._batches.watched()
         self._thread.start()
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
-        """Wait until every channel's rate has a subscriber, at most `timeout_s`."""
+        """Wait until every channel's rate or batch has a subscriber, at most `timeout_s`."""
         deadline = time.monotonic() + timeout_s
-        while not all(rate.matching_status.matching for rate in self._rates):
+        while not all(
+            rate.matching_status.matching or watched
+            for rate, watched in zip(self._rates, self._batches.watched(), strict=True)
+        ):
             if time.monotonic() >= deadline:
                 return False
             time.sleep(0.02)
@@ -121,21 +137,24 @@ class Publisher:
             self._queue.put(None)
             self._thread.join()
         self._publish_health()
+        self._batches.close()
         for declared in (*self._rates, *self._healths, *(item for group in self._declared for item in group)):
             declared.undeclare()
 
     def _run(self) -> None:
         due = time.monotonic() + HEALTH_S
+        batch_due = 0.0
         while True:
             try:
-                batch = self._queue.get(timeout=max(0.0, due - time.monotonic()))
+                batch = self._queue.get(timeout=max(0.0, min(due, batch_due) - time.monotonic()))
             except Empty:
                 batch = Batch(np.zeros(0), np.zeros(0), 0, 0)
             if batch is None:
                 return
             if len(batch.corrected):
                 self._publish(batch)
-            if time.monotonic() >= due:
+            batch_due = self._batches.flush(now := time.monotonic())
+            if now >= due:
                 self._publish_health()
                 due = time.monotonic() + HEALTH_S
 
@@ -151,6 +170,7 @@ class Publisher:
             for payload in self._encode(mine, name):
                 put(payload)
             self.stages["total"].add(now - mine["t_ns"])
+            self._batches.add(index, mine)
         self.published += len(corrected)
         self._taken += len(corrected)
         self.stages["receive"].add(batch.t_received_ns - corrected["t_ns"])

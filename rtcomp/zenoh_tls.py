@@ -23,7 +23,7 @@ from rtcomp.errors import RequestError
 from rtcomp.signing import write_new
 
 VEHICLE, PORT, DAYS = "vehicle", 7447, 825
-READ_LEAVES = ("rate", "health", "model", "schema", "alive")
+READ_LEAVES = ("rate", "batch", "health", "model", "schema", "alive")
 SWAP_LEAF = "model/swap"
 
 

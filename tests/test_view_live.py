@@ -60,16 +60,31 @@ def session():
     opened.close()
 
 
-def watch(session, path, sends, wait_s=0.4):
+def wait_for(condition, timeout_s=60.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def rows(viewer):
+    return list(viewer.counts()["channels"].values())
+
+
+def watch(session, path, sends):
+    """Send arrays of samples one after the other, each when the last has been logged."""
     with open_sink(save=path) as sink:
         viewer = Viewer(session, "t", sink)
         viewer.start()
         stream = Stream(session)
+        wait_for(lambda: len(viewer.channels) == 3 and not viewer._unsure)  # its questions are answered
+        sent = 0
         for rows in sends:
             stream.send(rows)
-            time.sleep(wait_s)
+            sent += len(rows)
+            for name in Stream.names:
+                wait_for(lambda: viewer.counts()["channels"][name]["logged"] == sent)  # noqa: B023 - called at once
         stream.publisher.close()
-        time.sleep(0.2)
         viewer.stop()
     return viewer.counts(), Rrd(path)
 
@@ -111,7 +126,7 @@ def test_a_flood_is_thinned_for_a_screen_and_counted(session, tmp_path):
         stream = Stream(session)
         stream.send(samples(0, 9_000))
         stream.publisher.close()
-        time.sleep(0.5)
+        wait_for(lambda: [c["logged"] + c["thinned"] + c["missed"] for c in rows(viewer)] == [9_000] * 3)
         viewer.stop()
     for row in viewer.counts()["channels"].values():
         assert row["logged"] + row["thinned"] + row["missed"] == 9_000
@@ -119,17 +134,86 @@ def test_a_flood_is_thinned_for_a_screen_and_counted(session, tmp_path):
         assert row["logged"] < 7_000
 
 
-def test_another_encoding_is_refused_with_the_way_on(session, tmp_path):
+def test_a_publisher_that_starts_anew_is_shown_again(tmp_path):
+    quiet, at = "scouting: {multicast: {enabled: false}}", f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+    client, peer = tmp_path / "client.json5", tmp_path / "peer.json5"
+    client.write_text(f'{{mode: "client", {quiet}, connect: {{endpoints: ["{at}"]}}}}')
+    peer.write_text(f'{{mode: "peer", {quiet}, listen: {{endpoints: ["{at}"]}}}}')
+    vehicle = open_session(str(peer))
+    watching = open_session(str(client))
+    with open_sink(save=tmp_path / "r.rrd") as sink:
+        viewer = Viewer(watching, "t", sink)
+        viewer.start()
+        for start in (0, 40_000):  # ms; the second run counts its samples from 0 again
+            stream = Stream(vehicle)
+            assert stream.publisher.wait_for_subscribers(30.0)
+            rows = samples(0, 200)
+            rows["t_ns"] += start * 1_000_000
+            before = viewer.counts()["channels"].get("z", {}).get("logged", 0)
+            stream.send(rows)
+            stream.publisher.close()
+            wait_for(lambda: viewer.counts()["channels"].get("z", {}).get("logged") == before + 200)  # noqa: B023
+            vehicle.close()
+            if not start:
+                wait_for(lambda: not viewer.channels["z"].running)
+                vehicle = open_session(str(peer))
+        viewer.stop()
+    watching.close()
+    rrd = Rrd(tmp_path / "r.rrd")
+    assert rrd.rows("/x/rate") == 400
+    states = [state[0] for _, state in rrd.column("/x/status/stream", "StateChange:state")]
+    assert states == ["running", "paused", "running"]
+    assert viewer.counts()["channels"]["x"] == {"logged": 400, "missed": 0, "thinned": 0}
+
+
+def test_a_window_that_the_person_closes_ends_the_viewing_without_a_word(session, tmp_path):
+    with open_sink(web=True, web_port=0, save=tmp_path / "c.rrd") as sink:
+        viewer = Viewer(session, "t", sink)
+        viewer.start()
+        stream = Stream(session)
+        stream.send(samples(0, 100))
+        wait_for(viewer.seen)
+        sink.viewer.kill()
+        wait_for(lambda: not viewer.running())
+        viewer.stop()
+        stream.publisher.close()
+    assert Rrd(tmp_path / "c.rrd").rows("/x/rate") == 100
+
+
+@pytest.mark.parametrize("encoding", ["json", "cdr"])
+def test_whatever_the_rates_are_encoded_as_the_viewer_gets_every_value(session, tmp_path, encoding):
     with open_sink(save=tmp_path / "j.rrd") as sink:
         viewer = Viewer(session, "t", sink)
         viewer.start()
-        publisher = Publisher(session, "t", ("x",), time.time_ns, encoding="json", lossless=True)
+        aliases = {"x": "0/imu/sensor_msgs::msg::dds_::Imu_/hash"}
+        publisher = Publisher(
+            session, "t", ("x",), time.time_ns, encoding=encoding, lossless=True, aliases=aliases
+        )
+        assert publisher.wait_for_subscribers(5.0)
         publisher.start()
-        publisher.offer(samples(0, 5), np.zeros(5, np.uint8), 0)
-        time.sleep(0.5)
+        publisher.offer(samples(0, 50), np.zeros(50, np.uint8), 0)
         publisher.close()
-        with pytest.raises(WorkError, match="--encoding"):
-            viewer.stop()
+        wait_for(lambda: viewer.counts()["channels"].get("x", {}).get("logged") == 50)
+        viewer.stop()
+    _, rates = Rrd(tmp_path / "j.rrd").scalars("/x/rate")
+    assert rates[:, 1].tolist() == samples(0, 50)["rate_dps"].tolist()
+
+
+def test_what_is_not_ours_is_said_in_one_sentence(session, tmp_path):
+    session.declare_queryable("t/x/schema", lambda query: query.reply("t/x/schema", '{"size": 3}'))
+    session.declare_queryable("t/y/schema", lambda query: query.reply("t/y/schema", "<html>"))
+    for key, payload, told in (
+        ("t/x/batch", b"abc", "t/x/schema is not a sample's layout"),
+        ("t/y/batch", b"abc", "t/y/schema answers what is not JSON"),
+        ("t/z/batch", b"abc", "3 bytes are not samples"),
+    ):
+        with open_sink(save=tmp_path / "n.rrd") as sink:
+            viewer = Viewer(session, "t", sink)
+            viewer.start()
+            session.put(key, payload)
+            wait_for(lambda: not viewer.running())  # noqa: B023 - called at once
+            with pytest.raises(WorkError, match=told):
+                viewer.stop()
 
 
 def test_no_display_and_no_stream_are_said_in_one_sentence(monkeypatch, tmp_path):

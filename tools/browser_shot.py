@@ -43,10 +43,10 @@ class Browser:
         self._read, answers = os.pipe()
         sized = f"--window-size={size[0]},{size[1]}"
         command = [
-            "sh",
+            "bash",  # sh may know descriptors of one digit only
             "-c",
             f'exec "$@" 3<&{commands} 4>&{answers}',
-            "sh",
+            "bash",
             program,
             *FLAGS,
             sized,

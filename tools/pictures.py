@@ -2,12 +2,13 @@
 
     python -m tools.pictures            # writes .github/pictures/*.png
 
-Needs a Vulkan driver for rerun's headless viewer (Debian: mesa-vulkan-drivers libvulkan1 libxkbcommon0).
+Needs a Vulkan driver for rerun's headless viewer (Debian: mesa-vulkan-drivers libvulkan1 libxkbcommon0) and chromium.
 All data in them are simulated.
 """
 
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +24,10 @@ from rtcomp.view import files
 from rtcomp.view.demo import watching
 from rtcomp.view.rerun_sdk import rerun_program
 from rtcomp.view.sinks import LOOPBACK, free_port, start_program, stream_address
+from tools import browser_shot
 
 FOLDER = Path(__file__).parent.parent / ".github" / "pictures"
+WEB_S = 75.0  # a browser that renders in software is half a minute late
 SETTLE_S = 14.0  # software rendering takes its time, and the viewer's greetings have to go
 
 
@@ -71,15 +74,43 @@ def diagnosis(folder: Path) -> Path:
     return folder / "diagnosis" / "diagnosis.rrd"
 
 
-PICTURES: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "drive": (drive, "1600x900"),
-    "model": (model, "1400x800"),
-    "paper": (paper, "1400x800"),
-    "diagnosis": (diagnosis, "1600x900"),
+def web(picture: Path, size: tuple[int, int]) -> None:
+    """The web viewer in a browser, while the demo runs."""
+    demo = Demo(seconds=WEB_S + 30.0)
+    try:
+        with saying_when_slow(print), watching(demo.session, "rtcomp", web=True) as viewer:
+            running = threading.Thread(target=demo.run)
+            running.start()
+            try:
+                browser_shot.shoot(str(viewer.sink.url), picture, WEB_S, size)
+            finally:
+                demo.stop()
+                running.join()
+    finally:
+        demo.close()
+
+
+FILES: dict[str, tuple[Callable[[Path], Path], tuple[int, int]]] = {
+    "drive": (drive, (1600, 900)),
+    "model": (model, (1400, 800)),
+    "paper": (paper, (1400, 800)),
+    "diagnosis": (diagnosis, (1600, 900)),
 }
+NAMES = (*FILES, "web")
 
 
-def shoot(rrd: Path, picture: Path, size: str) -> None:
+def make(name: str, picture: Path) -> None:
+    """Make one picture."""
+    if name == "web":
+        web(picture, (1600, 900))
+    else:
+        log, size = FILES[name]
+        with tempfile.TemporaryDirectory() as folder:
+            shoot(log(Path(folder)), picture, size)
+    shrink(picture)
+
+
+def shoot(rrd: Path, picture: Path, size: tuple[int, int]) -> None:
     """Let rerun's headless viewer open a file and save its picture."""
     from rerun.experimental import ViewerClient
 
@@ -92,7 +123,7 @@ def shoot(rrd: Path, picture: Path, size: str) -> None:
         "--port",
         str(port),
         "--window-size",
-        size,
+        "x".join(map(str, size)),
         str(rrd),
     ]
     viewer = start_program(command, [(LOOPBACK, port)])
@@ -104,7 +135,6 @@ def shoot(rrd: Path, picture: Path, size: str) -> None:
     finally:
         viewer.kill()
         viewer.wait()
-    _shrink(picture)
 
 
 def _wait_for(picture: Path, seconds: float = 10.0) -> None:
@@ -114,7 +144,7 @@ def _wait_for(picture: Path, seconds: float = 10.0) -> None:
     time.sleep(0.5)
 
 
-def _shrink(picture: Path) -> None:
+def shrink(picture: Path) -> None:
     """Cut the empty title bar off and keep 256 colours: a third of the size, nearly the same to the eye."""
     from PIL import Image
 
@@ -128,18 +158,16 @@ def _shrink(picture: Path) -> None:
 
 
 @click.command()
-@click.argument("names", nargs=-1, type=click.Choice(list(PICTURES)))
+@click.argument("names", nargs=-1, type=click.Choice(NAMES))
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, help="Folder for the pictures."
 )
 def main(names: tuple[str, ...], out: Path) -> None:
     """Make the pictures NAMES (all of them by default)."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in names or PICTURES:
-        make, size = PICTURES[name]
-        with tempfile.TemporaryDirectory() as folder:
-            shoot(make(Path(folder)), out / f"{name}.png", size)
-        click.echo(out / f"{name}.png")
+    for name in names or NAMES:
+        make(name, out / f"{name}.png")
+        click.echo(f"{out / name}.png: {(out / f'{name}.png').stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""The 3D scene of one channel: surfaces before and after, rules, validity, the operating point and its trail."""
+"""The 3D scenes of one channel: surfaces before and after (on one scale, and magnified), rules, validity, trail."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from rtcomp.view import colours
 from rtcomp.view.cells import Cells
 from rtcomp.view.columns import Times
 from rtcomp.view.rerun_sdk import load_rerun
-from rtcomp.view.scene import Box, log_axes, make_box
+from rtcomp.view.scene import Box, log_axes, magnified, make_box
 from rtcomp.view.streams import error_columns
 from rtcomp.view.surface import (
     LIFT,
@@ -24,10 +24,15 @@ from rtcomp.view.surface import (
     valid_range,
 )
 
+SIDES = ("before", "after", "magnified")
+"""The scenes of a channel: both errors on one scale, and what is left on its own."""
+
 TRAIL_POINTS, TRAIL_STEP_NS = 120, 200_000_000  # 24 s
 """How much of its way the operating point drags along."""
 FIRST_LOOK_S, SLOWER = 1.0, 1.3  # measured surfaces are logged after 1 s, and then less and less often …
 SLOWEST_S = 30.0  # … but never less often than this
+SMALLER = 0.4  # the magnified scale is made anew when what is left fills less than this part of it
+POLE = 0.45  # scene length by which the operating point's label stands above it
 
 
 def fitting_box(models: Sequence[Model], temp: np.ndarray, rate: np.ndarray, error: np.ndarray) -> Box:
@@ -61,9 +66,11 @@ class Way(NamedTuple):
 class ChannelScene:
     """Settings: the models. State: the box, the cells measured, the trail. Update: `add` with every batch."""
 
-    def __init__(self, stream: Any, name: str, models: Sequence[Model]) -> None:
-        self.stream, self.root, self.models = stream, f"{name}/surface", list(models)
+    def __init__(self, stream: Any, name: str, models: Sequence[Model], times: type[Times] = Times) -> None:
+        """`times` as of `ChannelStreams`."""
+        self.stream, self.root, self.models, self._times = stream, f"{name}/surface", list(models), times
         self.cells: Cells | None = None  # with the box they stand in, once that is known
+        self._magnified: Box | None = None  # the same box on the scale of what is left
         self._trail: deque[Way] = deque(maxlen=TRAIL_POINTS)
         self._due_ns, self._wait_s = 0, FIRST_LOOK_S
 
@@ -86,7 +93,7 @@ class ChannelScene:
 
     def swap(self, models: Sequence[Model]) -> None:
         """Show other models from now on."""
-        self.models, self.cells = list(models), None
+        self.models, self.cells, self._magnified = list(models), None, None
 
     def _outgrown(self, box: Box, samples: np.ndarray, errors: np.ndarray) -> bool:
         """Whether a scene without stated validity has become too small."""
@@ -123,7 +130,8 @@ class ChannelScene:
         if step < 0:
             self._trail.clear()  # a replay began anew
         self._trail.append(here)
-        log_operating_point(self.stream, self.root, box, list(self._trail))
+        boxes = {"before": box, "after": box} | ({"magnified": self._magnified} if self._magnified else {})
+        log_operating_point(self.stream, self.root, boxes, list(self._trail), self._times)
 
     def _show_measured(self, cells: Cells, t_ns: int) -> None:
         if 0 <= self._due_ns - t_ns < SLOWEST_S * 1e9 or not len(cells):
@@ -133,6 +141,16 @@ class ChannelScene:
         before, after = cells.means()
         log_tiles(self.stream, f"{self.root}/before/measured", before, cells.box)
         log_tiles(self.stream, f"{self.root}/after/measured", after, cells.box)
+        log_tiles(self.stream, f"{self.root}/magnified/measured", after, self._magnify(after, cells.box))
+
+    def _magnify(self, after: Grid, box: Box) -> Box:
+        """The box on a scale that what is left fills; logs its axes when that changes."""
+        largest = float(np.nanmax(np.abs(after.error_dps)))
+        scale = self._magnified
+        if scale is None or not SMALLER * scale.limit_dps <= largest <= scale.limit_dps:
+            scale = self._magnified = magnified(box, largest)
+            log_axes(self.stream, f"{self.root}/magnified/axes", scale)
+        return scale
 
     def finish(self) -> None:
         """Log what was measured up to the end."""
@@ -175,27 +193,31 @@ def log_sigma(stream: Any, path: str, sigma: float, inside: list[tuple[float, fl
     log_surface(stream, f"{path}/unmeasured", flat, box, plain=colours.UNMEASURED)
 
 
-def log_operating_point(stream: Any, root: str, box: Box, way: list[Way]) -> None:
-    """Log where the sensor is now, on both surfaces, and the way it came."""
+def log_operating_point(
+    stream: Any, root: str, boxes: Mapping[str, Box], way: list[Way], times: type[Times] = Times
+) -> None:
+    """Log where the sensor is now, on every surface (by the names of their boxes), and the way it came."""
     rr = load_rerun()
-    when = [Times(np.array([way[-1].t_ns]))]
+    when = [times(np.array([way[-1].t_ns]))]
     rows = np.array([row[1:] for row in way])
-    for side, error in (("before", rows[:, 2]), ("after", rows[:, 3])):
+    for side, box in boxes.items():
+        error = rows[:, 2] if side == "before" else rows[:, 3]
         places = box.place(rows[:, 0], rows[:, 1], error) + np.array([0.0, 0.0, 4 * LIFT], np.float32)
-        point = rr.Points3D.columns(positions=places[-1:])
-        stream.send_columns(f"{root}/{side}/operating_point", indexes=when, columns=point)
-        stream.send_columns(
-            f"{root}/{side}/trail", indexes=when, columns=rr.LineStrips3D.columns(strips=[places])
-        )
+        top = places[-1] + np.array([0.0, 0.0, POLE], np.float32)
+        at = f"{root}/{side}"
+        lines = rr.LineStrips3D.columns(strips=[places, np.stack([places[-1], top])]).partition([2])
+        stream.send_columns(f"{at}/trail", indexes=when, columns=lines)
+        for leaf, place in (("operating_point", places[-1:]), ("operating_point/label", top[None])):
+            stream.send_columns(f"{at}/{leaf}", indexes=when, columns=rr.Points3D.columns(positions=place))
 
 
 def style_operating_point(stream: Any, root: str) -> None:
-    """Size and colours of the operating point and its trail."""
+    """Size and colours of the operating point, its label and its trail."""
     rr = load_rerun()
-    for side in ("before", "after"):
-        point = rr.Points3D.from_fields(
-            radii=[0.04], colors=[colours.TRAIL], labels=["now"], show_labels=True
-        )
+    for side in SIDES:
+        point = rr.Points3D.from_fields(radii=[0.035], colors=[colours.TRAIL])
         stream.log(f"{root}/{side}/operating_point", point, static=True)
-        trail = rr.LineStrips3D.from_fields(radii=[0.01], colors=[colours.TRAIL])
+        label = rr.Points3D.from_fields(radii=[-0.1], colors=[colours.TEXT], labels=["now"], show_labels=True)
+        stream.log(f"{root}/{side}/operating_point/label", label, static=True)
+        trail = rr.LineStrips3D.from_fields(radii=[0.008], colors=[colours.TRAIL])
         stream.log(f"{root}/{side}/trail", trail, static=True)

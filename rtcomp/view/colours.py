@@ -35,6 +35,7 @@ LINES = (150, 158, 172, 255)
 TEXT = (238, 241, 246, 255)  # readable in both themes of the viewer
 RULES = (186, 120, 235, 255)
 UNMEASURED = (66, 72, 86, 255)
+POINTS = (40, 44, 56, 255)  # on a coloured surface
 VALIDITY = (70, 200, 160, 255)
 
 

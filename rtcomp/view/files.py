@@ -10,12 +10,14 @@ from rtcomp.compensator import predict
 from rtcomp.errors import RequestError
 from rtcomp.frames import CORRECTED, Flag
 from rtcomp.model import Model
+from rtcomp.view import colours
 from rtcomp.view.cells import Cells
-from rtcomp.view.channel_scene import ChannelScene, fitting_box, log_model_scene, style_operating_point
+from rtcomp.view.channel_scene import SIDES, ChannelScene, fitting_box, log_model_scene, style_operating_point
+from rtcomp.view.columns import Elapsed
 from rtcomp.view.layout import diagnosis_blueprint, live_blueprint, surfaces_blueprint
 from rtcomp.view.report import about_diagnosis, about_models
 from rtcomp.view.rerun_sdk import load_rerun
-from rtcomp.view.scene import Box, log_axes, make_box
+from rtcomp.view.scene import Box, log_axes, magnified, make_box
 from rtcomp.view.sinks import open_sink
 from rtcomp.view.streams import ChannelStreams, error_columns
 from rtcomp.view.surface import Grid, log_points, log_surface, log_tiles
@@ -67,32 +69,37 @@ def log_recordings(stream: Any, recordings: Sequence[Any], models: Sequence[Mode
     for recording in recordings:
         _log_recording(stream, recording, models)
     names = [recording.name for recording in recordings]
-    whole = live_blueprint(names, None) if len(timed) == len(recordings) else surfaces_blueprint(names)
+    whole = live_blueprint(names, None) if len(timed) == len(recordings) else surfaces_blueprint(names, SIDES)
     stream.send_blueprint(whole)
 
 
 def _log_recording(stream: Any, recording: Any, models: Sequence[Model]) -> None:
     samples, name = corrected_samples(recording, models), recording.name
-    scene = ChannelScene(stream, name, models)
+    scene = ChannelScene(stream, name, models, Elapsed)
     box = scene.prepare(samples)
     log_text(stream, f"{name}/about", about_models(name, models))
     if "t_s" in recording:
         style_operating_point(stream, f"{name}/surface")
-        streams = ChannelStreams(stream, name)
+        streams = ChannelStreams(stream, name, Elapsed)
         for block in _blocks(samples):
             streams.add(block)
             scene.add(block)
     else:
-        _log_points(stream, name, samples, box)
+        _log_points(stream, name, samples, box, bool(models))
     scene.finish()
 
 
-def _log_points(stream: Any, name: str, samples: np.ndarray, box: Box) -> None:
-    errors = error_columns(samples)
-    for side, error in (("before", errors[:, 0]), ("after", errors[:, 1])):
-        known = np.isfinite(error)
-        place = samples["temp_degC"][known], samples["rate_raw_dps"][known]
-        log_points(stream, f"{name}/surface/{side}/points", *place, error[known], box)
+def _log_points(stream: Any, name: str, samples: np.ndarray, box: Box, on_surface: bool) -> None:
+    before, after = error_columns(samples).T
+    known = np.isfinite(after)
+    if not known.any():
+        return
+    scale = magnified(box, float(np.abs(after[known]).max()))
+    log_axes(stream, f"{name}/surface/magnified/axes", scale)
+    place = samples["temp_degC"][known], samples["rate_raw_dps"][known]
+    for side, error, own in (("before", before, box), ("after", after, box), ("magnified", after, scale)):
+        plain = colours.POINTS if on_surface and side == "before" else None
+        log_points(stream, f"{name}/surface/{side}/points", *place, error[known], own, plain)
 
 
 def _blocks(samples: np.ndarray) -> Iterator[np.ndarray]:
@@ -165,9 +172,12 @@ def _log_mismatch(stream: Any, name: str, own: Mapping[str, Any]) -> None:
     box = make_box((seen.min(), seen.max()), (turned.min(), turned.max()), largest)
     cells = Cells(box)
     cells.add(temp, rate, np.stack([before, np.where(np.isfinite(after), after, 0.0)], axis=-1))
-    for side, grid in zip(("before", "after"), cells.means(), strict=True):
-        log_axes(stream, f"{name}/surface/{side}/axes", box)
-        log_tiles(stream, f"{name}/surface/{side}/measured", grid, box)
+    grids = dict(zip(SIDES, (*cells.means(), cells.means()[1]), strict=True))
+    left = np.abs(grids["magnified"].error_dps)
+    boxes = {"before": box, "after": box, "magnified": magnified(box, float(np.nanmax(left)))}
+    for side, grid in grids.items():
+        log_axes(stream, f"{name}/surface/{side}/axes", boxes[side])
+        log_tiles(stream, f"{name}/surface/{side}/measured", grid, boxes[side])
 
 
 def log_paper(stream: Any, shown: Any) -> None:

@@ -1,11 +1,11 @@
-"""Live from zenoh: samples of every channel are gathered in a bounded ring and logged ten times a second."""
+"""Live from zenoh: batches of samples of every channel wait in a bounded ring and are logged ten times a second."""
 
 import json
 import logging
+import math
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ import numpy as np
 from rtcomp.compensator import predict
 from rtcomp.errors import WorkError
 from rtcomp.frames import CORRECTED, Flag
-from rtcomp.model import Model, new_model, parse_model
+from rtcomp.model import new_model
+from rtcomp.view.asking import active_models, sample_layout
 from rtcomp.view.channel_scene import ChannelScene, style_operating_point
 from rtcomp.view.layout import live_blueprint
 from rtcomp.view.report import about_models
@@ -25,10 +26,12 @@ from rtcomp.view.thinning import History, thin
 log = logging.getLogger(__name__)
 
 BATCH_S = 0.1
-RING = 1 << 15  # samples that may wait; older ones give way, and are counted by their sequence numbers
+RING = 1 << 10  # batches that may wait; older ones give way, and are counted by their sequence numbers
+BACKLOG = 3  # so many waiting batches of a channel are still logged one by one; more are thinned together
 PAUSE_S = 2.0
+ASK_AGAIN_S = 5.0
+LAST_S = 30.0  # how long the last data may take
 HISTORY_EVERY_S = 60.0
-ANSWER_S = 1.0
 NOTHING = np.zeros(0)
 
 
@@ -109,7 +112,7 @@ class Viewer:
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._history_due = time.monotonic() + 1.0
-        self._unsure: set[str] = set()  # channels whose model is to be asked for
+        self._unsure: dict[str, float] = {}  # channels whose layout and models are to be asked for, and when
 
     def start(self) -> None:
         """Subscribe and begin to log."""
@@ -119,7 +122,7 @@ class Viewer:
             new_model(), NOTHING, NOTHING
         )  # compiles, or loads what was compiled, before samples wait for it
         ring = zenoh.handlers.RingChannel
-        self._rates = self.session.declare_subscriber(f"{self.prefix}/*/rate", ring(RING))
+        self._batches = self.session.declare_subscriber(f"{self.prefix}/*/batch", ring(RING))
         self._healths = self.session.declare_subscriber(f"{self.prefix}/*/health", ring(256))
         self._alive = self.session.liveliness().declare_subscriber(
             f"{self.prefix}/*/alive", ring(64), history=True
@@ -129,11 +132,15 @@ class Viewer:
     def stop(self) -> None:
         """Log what has come in up to now and unsubscribe.
 
-        Raises the error that ended the thread, if one did.
+        Raises the error that ended the thread, if one did, and WorkError when rerun takes no data any more.
         """
         self._stopped.set()
-        self._thread.join()
-        for subscriber in (self._rates, self._healths, self._alive):
+        self._thread.join(LAST_S)
+        if self._thread.is_alive():
+            raise WorkError(
+                f"rerun's viewer has taken no data for {LAST_S:g} s; it stands still or is stopped"
+            )
+        for subscriber in (self._batches, self._healths, self._alive):
             subscriber.undeclare()
         if self.error is not None:
             raise self.error
@@ -170,14 +177,15 @@ class Viewer:
     def _tick(self) -> None:
         for event in self._drain(self._alive):
             if not str(event.kind).endswith("DELETE"):
-                self._unsure.add(_channel_of(event))
+                self._unsure[_channel_of(event)] = 0.0
         batches: dict[str, list[bytes]] = defaultdict(list)
-        for sample in self._drain(self._rates):
+        for sample in self._drain(self._batches):
             batches[_channel_of(sample)].append(sample.payload.to_bytes())
         for name in sorted({*batches, *self._unsure}):
-            self._ask(name)
+            self._meet(name)
         for name, payloads in batches.items():
-            self._log(self.channels[name], payloads)
+            for part in payloads if len(payloads) <= BACKLOG else [b"".join(payloads)]:
+                self._log(self.channels[name], part)
         for sample in self._drain(self._healths):
             if (channel := self.channels.get(_channel_of(sample))) is not None:
                 channel.health(json.loads(sample.payload.to_bytes()))
@@ -191,54 +199,37 @@ class Viewer:
                 return
             yield sample
 
-    def _ask(self, name: str) -> None:
+    def _meet(self, name: str) -> None:
         """Make the channel if it is new, and learn its layout and models if they are not known."""
         if name not in self.channels:
             self.channels[name] = Channel(self.sink, name)
             self.sink.stream.send_blueprint(live_blueprint(sorted(self.channels), self._window_s))
-            self._unsure.add(name)
-        if name in self._unsure:
-            self._unsure.discard(name)
-            channel = self.channels[name]
-            channel.dtype = self._layout(name)
-            models = self._models(name)
-            channel.scene.swap(models)
-            text = about_models(name, models)
-            self.sink.stream.log(
-                f"{name}/about", load_rerun().TextDocument(text, media_type="text/markdown"), static=True
-            )
+            self._unsure[name] = 0.0
+        if time.monotonic() >= self._unsure.get(name, math.inf):
+            self._ask(self.channels[name])
 
-    def _query(self, key: str) -> Any:
-        for reply in self.session.get(key, timeout=ANSWER_S):
-            if reply.ok is not None:
-                return json.loads(reply.ok.payload.to_bytes())
-        return None
-
-    def _layout(self, name: str) -> np.dtype[Any]:
-        """The sample's layout as the publisher states it; ours where it does not answer."""
-        layout = self._query(f"{self.prefix}/{name}/schema")
+    def _ask(self, channel: Channel) -> None:
+        """Learn a channel's layout and models; where nobody answers, ours are assumed until asked again."""
+        key = f"{self.prefix}/{channel.name}"
+        layout = sample_layout(self.session, key)
         if layout is None:
-            return CORRECTED
-        if layout.get("encoding", "struct") != "struct":
-            raise WorkError(
-                f"{self.prefix}/{name}/rate is {layout['encoding']}; the viewer reads struct: run without --encoding"
-            )
-        names, formats, offsets = zip(*layout["fields"], strict=True)
-        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout["size"]})
+            self._unsure[channel.name] = time.monotonic() + ASK_AGAIN_S
+            return
+        del self._unsure[channel.name]
+        channel.dtype = layout
+        models = active_models(self.session, key)
+        channel.scene.swap(models)
+        text = load_rerun().TextDocument(about_models(channel.name, models), media_type="text/markdown")
+        self.sink.stream.log(f"{channel.name}/about", text, static=True)
 
-    def _models(self, name: str) -> Sequence[Model]:
-        answer = self._query(f"{self.prefix}/{name}/model")
-        documents = answer if isinstance(answer, list) else [answer]
-        return [parse_model(json.dumps(document), f"model of {name}") for document in documents if document]
-
-    def _log(self, channel: Channel, payloads: list[bytes]) -> None:
-        if any(len(payload) != channel.dtype.itemsize for payload in payloads):
+    def _log(self, channel: Channel, payload: bytes) -> None:
+        if len(payload) % channel.dtype.itemsize:
             raise WorkError(
-                f"{self.prefix}/{channel.name}/rate: a payload is not of {channel.dtype.itemsize} bytes"
+                f"{self.prefix}/{channel.name}/batch: {len(payload)} bytes are not samples of "
+                f"{channel.dtype.itemsize} bytes as …/schema states; is it another program's key?"
             )
-        samples = np.frombuffer(b"".join(payloads), channel.dtype)
-        if channel.add(samples):
-            self._unsure.add(channel.name)
+        if payload and channel.add(np.frombuffer(payload, channel.dtype)):
+            self._unsure[channel.name] = 0.0
 
     def _watch(self) -> None:
         now = time.monotonic()

@@ -107,7 +107,7 @@ def _show_live(config: ViewConfig, window: bool, stopped: threading.Event, say: 
         viewer = Viewer(session, config.prefix, sink, config.window_s)
         viewer.start()
         try:
-            _wait_for_samples(viewer, config, deadline, stopped)
+            _wait_for_samples(viewer, config, time.monotonic() + config.wait_s, stopped)
             end = time.monotonic() + config.seconds if config.seconds else float("inf")
             while viewer.running() and not stopped.wait(0.1) and time.monotonic() < end:
                 pass
@@ -149,7 +149,7 @@ def _wait_for_samples(viewer: Viewer, config: ViewConfig, deadline: float, stopp
 
 def _no_stream(config: ViewConfig) -> str:
     return (
-        f"no stream under {config.prefix}/*/rate within {config.wait_s:g} s; start one with "
+        f"no stream under {config.prefix}/ within {config.wait_s:g} s; start one with "
         "`rtcomp run --bus … --zenoh local` (or name its --zenoh and --prefix here), or see `rtcomp demo --view`"
     )
 

@@ -1,7 +1,7 @@
 """The box in which surfaces stand: physical units in, scene coordinates out, axes with units, the scale's legend."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from rtcomp.view import colours
 from rtcomp.view.rerun_sdk import load_rerun
 
 SIDE, HEIGHT = 2.0, 1.2  # scene lengths of the temperature and rate axes, and of the error axis
-TICKS = 5
+TICKS, ERROR_TICKS = 6, 5
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,20 @@ def make_box(temp_degC: tuple[float, float], rate_dps: tuple[float, float], limi
     return Box(_widened(*temp_degC), _widened(*rate_dps), _round_up(limit_dps))
 
 
+def magnified(box: Box, limit_dps: float) -> Box:
+    """The same ranges on another scale of errors."""
+    return replace(box, limit_dps=_round_up(limit_dps))
+
+
 def _widened(low: float, high: float, margin: float = 0.06, least: float = 2.0) -> tuple[float, float]:
     middle, half = (low + high) / 2.0, max((high - low) * (0.5 + margin), least / 2.0)
     return middle - half, middle + half
 
 
-def _step(span: float) -> float:
-    """The round step of 1, 2 or 5 times a power of ten that divides `span` into about TICKS parts."""
-    power = 10.0 ** math.floor(math.log10(span / TICKS))
-    return next(power * k for k in (1.0, 2.0, 5.0, 10.0) if span / (power * k) <= TICKS * 1.01)
+def _step(span: float, most: int) -> float:
+    """The round step of 1, 2 or 5 times a power of ten that divides `span` into about `most` parts."""
+    power = 10.0 ** math.floor(math.log10(span / most))
+    return next(power * k for k in (1.0, 2.0, 5.0, 10.0) if span / (power * k) <= most * 1.01)
 
 
 def _round_up(value: float) -> float:
@@ -61,9 +66,9 @@ def _round_up(value: float) -> float:
     )
 
 
-def ticks(low: float, high: float) -> np.ndarray:
-    """Round values from low to high."""
-    step = _step(high - low)
+def ticks(low: float, high: float, most: int = TICKS) -> np.ndarray:
+    """About `most` round values from low to high."""
+    step = _step(high - low, most)
     return np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1) * step
 
 
@@ -79,7 +84,8 @@ def log_axes(stream: Any, path: str, box: Box) -> None:
         rr.LineStrips3D([floor, *posts, *walls], colors=[colours.LINES], radii=[-0.7]),
         static=True,
     )
-    temp, rate, error = ticks(t0, t1), ticks(w0, w1), ticks(-e, e)
+    temp, rate, error = ticks(t0, t1), ticks(w0, w1), ticks(-e, e, ERROR_TICKS)
+    error = error[error > -0.9 * e]  # the lowest would stand where the temperatures begin
     inset = 0.09  # labels stand off the box, so that they do not cover the surface
     places = [
         box.place(temp, w0, -e) + np.array([0.0, -inset, 0.0], np.float32),

@@ -96,15 +96,25 @@ def open_sink(
         if save is not None:
             sinks.append(rr.FileSink(stack.enter_context(_replacing(Path(save)))))
         stream.set_sinks(*sinks)
-        stack.callback(_finish, stream)
+        sink = Sink(stream, None if not (window or web) else LIVE_ROWS, url, viewer)
+        stack.callback(_finish, sink)
         if name:
             stream.send_recording_name(name)
-        yield Sink(stream, None if not (window or web) else LIVE_ROWS, url, viewer)
+        yield sink
 
 
-def _finish(stream: Any) -> None:
-    stream.flush(timeout_sec=5.0)
-    stream.disconnect()
+def _finish(sink: Sink) -> None:
+    """Hand over what is left.
+
+    Raises WorkError when that fails, unless it is because the person has closed the window.
+    """
+    try:
+        sink.stream.flush(timeout_sec=5.0)
+    except RuntimeError as error:
+        if sink.alive():
+            raise WorkError(f"rerun's viewer did not take the last of the data: {error}") from error
+    finally:
+        sink.stream.disconnect()
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import numpy as np
 
 from rtcomp.frames import Flag
 from rtcomp.view import colours
-from rtcomp.view.columns import send_scalars, send_states, style_lines
+from rtcomp.view.columns import Elapsed, Times, send_scalars, send_states, side_by_side, style_lines
 from rtcomp.view.rerun_sdk import load_rerun
 
 SLOPE_TAU_S = 10.0  # dT/dt is taken from the temperature against its low pass of this time constant
@@ -23,9 +23,10 @@ SERIES = {
     "correction": (["+1 σ", "−1 σ", "correction"], [colours.BAND, colours.BAND, colours.REFERENCE]),
     "temperature": (["temperature"], [colours.TEMPERATURE]),
     "temperature_rate": (["dT/dt"], [colours.TEMPERATURE]),
-    "latency": (["p50", "p99"], [colours.CORRECTED, colours.RAW]),
+    "latency/p50": (["p50"], [colours.CORRECTED]),
+    "latency/p99": (["p99"], [colours.RAW]),
     "losses": (
-        ["lost before us", "lost in our queue", "rejected", "lost on the way here", "thinned here"],
+        ["receiver", "queue", "rejected", "transport", "thinned here"],
         [colours.RAW, colours.TEMPERATURE, colours.RULES, colours.CORRECTED, colours.BAND],
     ),
     "true_rate": (["true rate"], [colours.REFERENCE]),
@@ -47,14 +48,15 @@ CURVES = {
 def error_columns(samples: np.ndarray) -> np.ndarray:
     """Errors against the reference before and after [°/s], shape `(n, 2)`; NaN without a reference."""
     reference = samples["ref_rate_dps"]
-    return np.stack([samples["rate_raw_dps"] - reference, samples["rate_dps"] - reference], axis=-1)
+    return side_by_side(samples["rate_raw_dps"] - reference, samples["rate_dps"] - reference)
 
 
 class ChannelStreams:
     """Logs one channel under its name. `add` takes CORRECTED arrays in order of time, `health` its 1 Hz document."""
 
-    def __init__(self, stream: Any, name: str) -> None:
-        self.stream, self.name = stream, name
+    def __init__(self, stream: Any, name: str, times: type[Times] = Times) -> None:
+        """`times`: `Elapsed` where time counts from the start of a recording."""
+        self.stream, self.name, self._times = stream, name, times
         self.values = 0  # numbers logged
         self._styled: set[str] = set()
         self._flags = 0
@@ -64,22 +66,22 @@ class ChannelStreams:
 
     def add(self, samples: np.ndarray) -> None:
         """Log a batch, shape `(n,)`, n > 0."""
-        t_ns, errors = samples["t_ns"], error_columns(samples)
+        times, errors = self._times(samples["t_ns"]), error_columns(samples)
         known = bool(np.isfinite(errors).any())
         rates = [samples["rate_raw_dps"], samples["rate_dps"]] + ([samples["ref_rate_dps"]] if known else [])
-        self._scalars("rate", t_ns, np.stack(rates, axis=-1))
+        self._scalars("rate", times, side_by_side(*rates))
         if known:
-            self._scalars("error", t_ns, errors)
-        self._scalars("correction", t_ns, _with_band(samples))
+            self._scalars("error", times, errors)
+        self._scalars("correction", times, _with_band(samples))
         self._temperature(samples)
-        self._log_flags(t_ns, samples["flags"])
+        self._log_flags(samples["t_ns"], samples["flags"])
 
-    def _scalars(self, entity: str, t_ns: np.ndarray, values: np.ndarray) -> None:
+    def _scalars(self, entity: str, times: Times, values: np.ndarray) -> None:
         path = f"{self.name}/{entity}"
         if entity not in self._styled:
             self._styled.add(entity)
             style_lines(self.stream, path, *SERIES[entity])
-        send_scalars(self.stream, path, t_ns, values)
+        send_scalars(self.stream, path, times, values)
         self.values += values.size
 
     def _temperature(self, samples: np.ndarray) -> None:
@@ -93,8 +95,9 @@ class ChannelStreams:
         if not len(rows):
             return
         slopes = [self._slope(int(row["t_ns"]), float(row["temp_degC"])) for row in rows]
-        self._scalars("temperature", rows["t_ns"], rows["temp_degC"][:, None])
-        self._scalars("temperature_rate", rows["t_ns"], np.array(slopes)[:, None] * 60.0)
+        times = self._times(rows["t_ns"])
+        self._scalars("temperature", times, rows["temp_degC"])
+        self._scalars("temperature_rate", times, np.array(slopes) * 60.0)
 
     def _slope(self, t_ns: int, temp: float) -> float:
         """dT/dt [°C/s] = (T − LP(T))/τ; exact for piecewise linear T."""
@@ -111,7 +114,7 @@ class ChannelStreams:
     def _log_flags(self, t_ns: np.ndarray, flags: np.ndarray) -> None:
         before = np.concatenate([[self._flags], flags[:-1]]).astype(np.uint32)
         changed = before ^ flags
-        for flag in Flag:
+        for flag in Flag(int(np.bitwise_or.reduce(changed))):
             turns = np.flatnonzero(changed & np.uint32(flag))
             if len(turns):
                 self._turn(flag, t_ns[turns], (flags[turns] & np.uint32(flag)) != 0)
@@ -127,7 +130,7 @@ class ChannelStreams:
             )
         if len(t_ns) > STATES_PER_BATCH:  # it flutters: shown as on from the first turn to the last
             t_ns, on = t_ns[[0, -1]], np.array([True, bool(on[-1])])
-        send_states(self.stream, path, t_ns, ["yes" if now else "" for now in on])
+        send_states(self.stream, path, self._times(t_ns), ["yes" if now else "" for now in on])
 
     def mark(self, t_ns: int, state: str) -> None:
         """Log the stream's own state: running or paused."""
@@ -135,14 +138,15 @@ class ChannelStreams:
             self._styled.add("status")
             look = load_rerun().StateConfiguration(values=["running", "paused"], colors=[GREEN, ORANGE])
             self.stream.log(f"{self.name}/status/stream", look, static=True)
-        send_states(self.stream, f"{self.name}/status/stream", np.array([t_ns]), [state])
+        send_states(self.stream, f"{self.name}/status/stream", self._times(np.array([t_ns])), [state])
 
     def health(self, t_ns: int, document: dict[str, Any], missed: int, thinned: int) -> None:
         """Log latency percentiles [µs] and cumulative losses."""
-        when = np.array([t_ns])
+        when = self._times(np.array([t_ns]))
         total = (document.get("stages_us") or {}).get("total")
         if total:
-            self._scalars("latency", when, np.array([[total["p50"], total["p99"]]]))
+            for percentile in ("p50", "p99"):  # in plots of their own: one may be a hundred times the other
+                self._scalars(f"latency/{percentile}", when, np.array([total[percentile]]))
         losses = document.get("losses") or {}
         rejected = sum((document.get("rejected") or {}).values())
         row = [losses.get("receiver", 0), losses.get("queue", 0), rejected, missed, thinned]
@@ -158,25 +162,26 @@ class ChannelStreams:
             names, tints = SERIES[entity]
             k = names.index(column) if column else 0
             style_lines(self.stream, path, [names[k]], [tints[k]])
-            send_scalars(self.stream, path, np.rint(t_s * 1e9).astype(np.int64), values[:, None])
+            send_scalars(self.stream, path, Elapsed(np.rint(t_s * 1e9)), values)
 
     def history(self, t_ns: np.ndarray, means: np.ndarray) -> None:
         """Log rows of the thinned past: means of squared errors before and after, correction, temperature."""
+        times = self._times(t_ns)
         if np.isfinite(means[:, :2]).any():
-            self._scalars("history/error", t_ns, np.sqrt(means[:, :2]))
-        self._scalars("history/correction", t_ns, means[:, 2:3])
-        self._scalars("history/temperature", t_ns, means[:, 3:4])
+            self._scalars("history/error", times, np.sqrt(means[:, :2]))
+        self._scalars("history/correction", times, means[:, 2])
+        self._scalars("history/temperature", times, means[:, 3])
 
 
 def history_columns(samples: np.ndarray) -> np.ndarray:
     """What the past is kept as, shape `(n, 4)`: see `ChannelStreams.history`."""
-    slow = np.stack([samples["correction_dps"], samples["temp_degC"]], axis=-1)
-    return np.concatenate([error_columns(samples) ** 2, slow], axis=-1)
+    before, after = error_columns(samples).T
+    return side_by_side(before**2, after**2, samples["correction_dps"], samples["temp_degC"])
 
 
 def _with_band(samples: np.ndarray) -> np.ndarray:
-    correction, sigma = samples["correction_dps"], samples["sigma_dps"].astype(float)
-    return np.stack([correction + sigma, correction - sigma, correction], axis=-1)
+    correction, sigma = samples["correction_dps"], samples["sigma_dps"]
+    return side_by_side(correction + sigma, correction - sigma, correction)
 
 
 def _words(flag: Flag) -> str:

@@ -94,12 +94,21 @@ def _half_step(axis: np.ndarray) -> float:
     return float(axis[1] - axis[0]) / 2.0 * 0.94 if len(axis) > 1 else 0.5
 
 
-def log_points(stream: Any, path: str, temp_degC: Any, rate_dps: Any, error_dps: Any, box: Box) -> None:
-    """Log recorded calibration points, coloured by their error [°/s]; arrays of shape `(n,)`."""
+def log_points(
+    stream: Any,
+    path: str,
+    temp_degC: Any,
+    rate_dps: Any,
+    error_dps: Any,
+    box: Box,
+    plain: tuple[int, ...] | None = None,
+) -> None:
+    """Log recorded calibration points, coloured by their error [°/s] or `plain`; arrays of shape `(n,)`."""
     rr = load_rerun()
-    tint = colours.diverging(np.asarray(error_dps), box.limit_dps)
+    tint = colours.diverging(np.asarray(error_dps), box.limit_dps) if plain is None else [plain]
     places = box.place(temp_degC, rate_dps, error_dps) + np.array([0.0, 0.0, 2 * LIFT], np.float32)
-    stream.log(path, rr.Points3D(places, colors=tint, radii=[0.014]), static=True)
+    radius = 0.014 if plain is None else 0.011
+    stream.log(path, rr.Points3D(places, colors=tint, radii=[radius]), static=True)
 
 
 def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None:
@@ -119,6 +128,8 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     height = predict(list(models), w, T).error_dps
     tops = box.place(T, w, height)
     stems = np.stack([box.place(T, w, floor), tops], axis=1)
+    lowest = np.concatenate(rings)[np.argmin(np.concatenate(outlines)[:, 1])]
+    log_note(stream, f"{path}/label", lowest, "rules, 1 σ")
     stream.log(f"{path}/widths", rr.LineStrips3D(rings, colors=[colours.RULES], radii=[-0.8]), static=True)
     stream.log(
         f"{path}/stems", rr.LineStrips3D(list(stems), colors=[colours.RULES], radii=[-0.4]), static=True
@@ -126,6 +137,14 @@ def log_rules(stream: Any, path: str, models: Sequence[Model], box: Box) -> None
     names = [f"rule {k + 1}" for k in range(len(tops))]
     dots = rr.Points3D(tops, colors=[colours.RULES], radii=[0.025], labels=names, show_labels=False)
     stream.log(f"{path}/centers", dots, static=True)
+
+
+def log_note(stream: Any, path: str, place: np.ndarray, text: str) -> None:
+    """Log a short text at a place of the scene, shape `(3,)`."""
+    note = load_rerun().Points3D(
+        [place], labels=[text], show_labels=True, radii=[-0.1], colors=[colours.TEXT]
+    )
+    stream.log(path, note, static=True)
 
 
 def _rules_of(models: Sequence[Model], box: Box) -> tuple[np.ndarray, np.ndarray]:
@@ -156,6 +175,7 @@ def log_validity(stream: Any, path: str, models: Sequence[Model], box: Box) -> N
     edges = [box.place(T, w, z) for z in (-box.limit_dps, box.limit_dps)]
     edges += [box.place([t, t], [r, r], [-box.limit_dps, box.limit_dps]) for t, r in ring[:4]]
     stream.log(path, rr.LineStrips3D(edges, colors=[colours.VALIDITY], radii=[-0.6]), static=True)
+    log_note(stream, f"{path}/label", box.place(t0, w1, box.limit_dps), "valid range")
 
 
 def valid_range(models: Sequence[Model], name: str) -> tuple[float, float] | None:
