@@ -26,6 +26,7 @@ MAX_RULES = 1024
 MAX_TERMS = 256
 MAX_TABLE = 4096  # numbers of one table: polynomial coefficients, knots, residual regions
 MAX_BYTES = 16 * 2**20
+MAX_DEPTH = 32  # of nested JSON; rules need four, a provenance some more
 NOT_HASHED = ("sha256", "signature")
 
 
@@ -221,7 +222,19 @@ def _parse_json(text: str, name: str) -> dict[str, Any]:
         raise RequestError(
             f"{name}: got a JSON {type(document).__name__}, wanted an object with schema {SCHEMA!r}"
         )
+    _check_depth(document, name)
     return document
+
+
+def _check_depth(document: Any, name: str) -> None:
+    """What can just be read may be too deep to be written again, by a thread that must not fail."""
+    level = [document]
+    for _ in range(MAX_DEPTH):
+        children = (child for item in level for child in (item.values() if isinstance(item, dict) else item))
+        level = [child for child in children if isinstance(child, dict | list)]
+        if not level:
+            return
+    raise RequestError(f"{name}: nested more than {MAX_DEPTH} deep; a model is a few levels of objects and lists")
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

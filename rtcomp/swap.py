@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rtcomp.errors import RequestError
+from rtcomp.errors import RequestError, printable
 from rtcomp.model import MAX_BYTES, Model, check_sensor, parse_model
 
 log = logging.getLogger(__name__)
@@ -64,7 +64,7 @@ class Swapper:
             stacks = read()
         except RequestError as error:
             self.counts["refused"] += 1
-            log.warning("model not swapped, the old one stays: %s", error)
+            log.warning("model not swapped, the old one stays: %s", printable(str(error)))
             return
         self._swap(stacks)
         self.counts["accepted"] += 1
