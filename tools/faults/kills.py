@@ -44,7 +44,7 @@ def _child(folder: Path, model: Path, told: int) -> None:
 
     def feed() -> None:
         with open_can(str(config.bus)) as bus:
-            replay(make_trace().frames(), bus, speed=1.0, stop=threading.Event())
+            replay([make_trace().frames()], bus, speed=1.0, stop=threading.Event())
 
     def tell() -> None:
         while not runner.pipeline.counts["frames"]:
