@@ -116,11 +116,11 @@ def read_document(path: str | Path) -> dict[str, Any]:
 
 def _read(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RequestError(
-                f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read"
-            )
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise RequestError(f"{path}: a model of more than {MAX_BYTES} bytes; at most that are read")
+        return content.decode()
     except OSError as error:
         raise RequestError(
             f"cannot read model {path}: {error.strerror}; give the path of a model file"
@@ -234,7 +234,9 @@ def _check_depth(document: Any, name: str) -> None:
         level = [child for child in children if isinstance(child, dict | list)]
         if not level:
             return
-    raise RequestError(f"{name}: nested more than {MAX_DEPTH} deep; a model is a few levels of objects and lists")
+    raise RequestError(
+        f"{name}: nested more than {MAX_DEPTH} deep; a model is a few levels of objects and lists"
+    )
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

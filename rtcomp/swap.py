@@ -1,7 +1,8 @@
 """Other models while running: the files again on SIGHUP, or a put to an opt-in zenoh key.
 
 A swap is whole or not at all: what cannot be read, is of another sensor, fails its hash or is signed by nobody
-trusted is refused, counted and said, and the old model stays. Nothing in a message names a file.
+trusted is refused, counted and said, and the old model stays. Nothing in a message names a file. A put is smaller
+than a file may be: it is parsed while frames come in.
 """
 
 import logging
@@ -9,10 +10,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rtcomp.errors import RequestError, printable
-from rtcomp.model import MAX_BYTES, Model, check_sensor, parse_model
+from rtcomp.model import Model, check_sensor, parse_model
 
 log = logging.getLogger(__name__)
 
+MAX_BYTES = 1 << 20  # three times what the most rules take
 Stacks = dict[str, list[Model]]
 
 

@@ -75,6 +75,17 @@ FINDINGS = {
         b'"terms": [{"effect": "thermal_lag", "parameters": {"tau_s": 1e300}}]}',
     ),
 }
+NESTED = (
+    '{{"schema": "rtcomp.model/1", "inputs": [], "rules": {{}}, "provenance": {{"a": {opening}1{closing}}}}}'
+)
+
+
+@pytest.mark.parametrize("depth", [30, 100, *range(900, 1010)])
+@pytest.mark.parametrize(("opening", "closing"), ["[]", ('{"a":', "}")])
+def test_no_depth_of_a_model_can_be_read_and_not_written_again(opening, closing, depth):
+    data = NESTED.format(opening=opening * depth, closing=closing * depth).encode()
+    for name in ("model", "swap"):
+        assert run(name, data) == (depth < 32 or name == "swap")
 
 
 @pytest.mark.parametrize("what", FINDINGS)

@@ -66,7 +66,7 @@ def correct(
 def model(data: bytes) -> None:
     """A model file's text."""
     accepted = parse_model(data.decode("utf-8", "replace"), "fuzz")
-    model_document(accepted)
+    json.dumps(model_document(accepted))  # as it is served
     correct([accepted])
 
 
@@ -82,6 +82,8 @@ def swap(data: bytes) -> None:
     pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
     pipeline.process_all(few_frames())
     pipeline.swap(taken)
+    for stack in taken.values():
+        json.dumps([model_document(model) for model in stack])  # as the run serves it from then on
     pipeline.process_all(few_frames())
 
 

@@ -149,7 +149,11 @@ def running(folder: Path, endpoint: str, bus: str | None) -> Iterator[tuple[Any,
             command = ["rtcomp", "run", "--bus", bus, *options]
         said = stack.enter_context((folder / "said.txt").open("w"))
         process = subprocess.Popen(
-            [sys.executable, "-m", *command], stdout=subprocess.PIPE, stderr=said, text=True, pass_fds=descriptors
+            [sys.executable, "-m", *command],
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+            pass_fds=descriptors,
         )
         try:
             yield process, ours
@@ -158,15 +162,22 @@ def running(folder: Path, endpoint: str, bus: str | None) -> Iterator[tuple[Any,
             process.communicate()
 
 
-def soak(seconds: float, rate_hz: int, bus: str | None = None, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
+def soak(
+    seconds: float, rate_hz: int, bus: str | None = None, parts: tuple[str, ...] = PARTS
+) -> dict[str, Any]:
     """One soak: figures and verdicts."""
     endpoint = free_endpoint()
     with tempfile.TemporaryDirectory(prefix="rtcomp-soak-") as name:
         folder = Path(name)
         with running(folder, endpoint, bus) as (process, ours):
             watched = Watched(process.pid)
-            if not wait_for(lambda: process.poll() is not None or watched.listens(), START_S) or process.poll():
-                raise click.ClickException(f"the run did not come up: {(folder / 'said.txt').read_text()[-500:]}")
+            if (
+                not wait_for(lambda: process.poll() is not None or watched.listens(), START_S)
+                or process.poll()
+            ):
+                raise click.ClickException(
+                    f"the run did not come up: {(folder / 'said.txt').read_text()[-500:]}"
+                )
             load = Load(folder, ours, endpoint, rate_hz, parts)
             load.start()
             watch(watched, load, seconds)
@@ -225,7 +236,9 @@ def account(load: Load, summary: dict[str, Any]) -> tuple[dict[str, Any], dict[s
 @click.command()
 @click.option("--minutes", default=60.0, show_default=True, help="How long.")
 @click.option("--rate-hz", default=9000, show_default=True, help="Rate frames per second.")
-@click.option("--bus", help="python-can interface and channel to go over.  [default: a socket of this machine]")
+@click.option(
+    "--bus", help="python-can interface and channel to go over.  [default: a socket of this machine]"
+)
 @click.option("--without", multiple=True, type=click.Choice(PARTS), help="Leave a part of the load out.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def main(minutes: float, rate_hz: int, bus: str | None, without: tuple[str, ...], as_json: bool) -> None:
@@ -236,7 +249,9 @@ def main(minutes: float, rate_hz: int, bus: str | None, without: tuple[str, ...]
     if as_json:
         click.echo(json.dumps(report))
     else:
-        Console(highlight=False).print_json(data={key: value for key, value in report.items() if key != "rows"})
+        Console(highlight=False).print_json(
+            data={key: value for key, value in report.items() if key != "rows"}
+        )
     sys.exit(not all(report["verdicts"].values()))
 
 
