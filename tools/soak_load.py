@@ -22,6 +22,9 @@ from tools.faults.trace import START_NS, make_model
 
 CYCLE_S = 15  # a whole number of counter rounds of both frames
 SWAP_S, CHURN_S = 3.0, 4.0
+HURRY = (
+    10.0  # times as often at first: an allocator has its pools full after so many events, not after a time
+)
 CLOSING, CLOSING_S = 100, 3.0  # frames sent slowly at the end, so that a loss before lies between two samples
 PARTS = ("frames", "swaps", "visitors")
 
@@ -86,6 +89,7 @@ class Load:
         self._config.write_text(json.dumps(peer_config(client)))
         self.session = open_session(self._config)
         self.listener = Listener(self.session)
+        self.pace = HURRY  # of swaps and visits; 1 is theirs
         self._over = threading.Event()
         work = {"frames": self._send, "swaps": self._swap, "visitors": self._churn}
         self._threads = [threading.Thread(target=work[part], name=part) for part in parts]
@@ -137,16 +141,16 @@ class Load:
         with self.session.declare_publisher(
             "rtcomp/yaw/model/swap", congestion_control=zenoh.CongestionControl.BLOCK
         ) as publisher:
-            while not self._over.wait(SWAP_S):
+            while not self._over.wait(SWAP_S / self.pace):
                 publisher.put(models[self.swaps["accepted"] % 2])
                 publisher.put(b"{broken")
                 self.swaps = {name: number + 1 for name, number in self.swaps.items()}
 
     def _churn(self) -> None:
-        while not self._over.wait(CHURN_S / 2):
+        while not self._over.wait(CHURN_S / 2 / self.pace):
             with open_session(self._config) as session:
                 subscriber = session.declare_subscriber("rtcomp/**", lambda sample: None)
-                self._over.wait(CHURN_S / 2)
+                self._over.wait(CHURN_S / 2 / self.pace)
                 subscriber.undeclare()
             self.visitors += 1
 

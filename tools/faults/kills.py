@@ -25,6 +25,7 @@ from tools.faults.trace import compiled_strict_map, make_trace
 FULL, QUICK = 200, 5
 PERIOD_S = 0.1
 LONGEST_S = 1.0
+FORGOTTEN_S = 600.0  # after which a run ends that nobody is left to kill
 
 
 def _child(folder: Path, model: Path, told: int) -> None:
@@ -41,6 +42,7 @@ def _child(folder: Path, model: Path, told: int) -> None:
         model=[str(model)],
         state=str(folder / "state.json"),
         record=str(folder / "kept.log"),
+        seconds=FORGOTTEN_S,
     )
     runner = Runner(config)
     runner.start()

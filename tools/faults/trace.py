@@ -138,7 +138,7 @@ def undeclared(samples: np.ndarray, healthy: np.ndarray) -> int:
     by_time = {int(t): k for k, t in enumerate(healthy["t_ns"])}
     by_rate = {float(rate): k for k, rate in enumerate(healthy["rate_raw_dps"])}
     pairs = zip(samples["t_ns"].tolist(), samples["rate_raw_dps"].tolist(), strict=True)
-    same = healthy[[by_time.get(t, by_rate.get(rate)) for t, rate in pairs]]
+    same = healthy[np.array([by_time[t] if t in by_time else by_rate[rate] for t, rate in pairs], np.intp)]
     is_off = np.abs(samples["rate_dps"] - same["rate_dps"]) > samples["sigma_dps"]
     return int(np.count_nonzero(is_off & (samples["flags"] & ~same["flags"] == 0)))
 
