@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from tools.fuzz_targets import ASC, TARGETS, run, seeds
 
-EXAMPLES = {"dbc": 60, "asc": 100, "signal_map": 100}  # their parsers are slow
+EXAMPLES = {
+    "dbc": 60,
+    "asc": 100,
+    "trc": 100,
+    "blf": 100,
+    "can_csv": 100,
+    "signal_map": 100,
+}  # their parsers are slow
 WILD = (
     b"-1",
     b"1e308",

@@ -130,11 +130,31 @@ def candump(data: bytes) -> None:
 
 def asc(data: bytes) -> None:
     """A log that python-can reads."""
+    _log_of(data, "asc")
+
+
+def trc(data: bytes) -> None:
+    """A log that python-can reads."""
+    _log_of(data, "trc")
+
+
+def blf(data: bytes) -> None:
+    """A binary log that python-can reads."""
+    _log_of(data, "blf")
+
+
+def can_csv(data: bytes) -> None:
+    """A log that python-can reads."""
+    _log_of(data, "csv")
+
+
+def _log_of(data: bytes, suffix: str) -> None:
     from rtcomp.sources.logs import read_log
 
-    with as_file(data, "fuzz.asc") as path:
-        for _ in read_log(path):
-            pass
+    with as_file(data, f"fuzz.{suffix}") as path:
+        for array in read_log(path):
+            if (array["length"] > 64).any():
+                raise AssertionError("a frame longer than any")
 
 
 def recording(data: bytes) -> None:
@@ -143,6 +163,32 @@ def recording(data: bytes) -> None:
 
     with as_file(data, "fuzz.csv") as path:
         read_recording(path)
+
+
+def parquet(data: bytes) -> None:
+    """A recorded table in binary."""
+    from training.table import read_recording
+
+    with as_file(data, "fuzz.parquet") as path:
+        read_recording(path)
+
+
+def scenario(data: bytes) -> None:
+    """A scenario of the gyro simulator."""
+    from training.simulator.scenario import load_scenario
+
+    with as_file(data, "fuzz.toml") as path:
+        load_scenario(path)
+
+
+def key(data: bytes) -> None:
+    """A key file, taken for either kind."""
+    from rtcomp.signing import load_private_key, load_public_keys
+
+    with as_file(data, "fuzz.key") as path:
+        with contextlib.suppress(RequestError):
+            load_private_key(path)
+        load_public_keys([path])
 
 
 def checkpoint(data: bytes) -> None:
@@ -158,10 +204,11 @@ def checkpoint(data: bytes) -> None:
     pipeline.process_all(few_frames())
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {
-    target.__name__: target
-    for target in (model, swap, frames, signal_map, dbc, config, candump, asc, recording, checkpoint)
-}
+DOORS = (
+    model, swap, frames, signal_map, dbc, config, candump, asc, trc, blf, can_csv, recording, parquet, scenario, key,
+    checkpoint,
+)  # fmt: skip
+TARGETS: dict[str, Callable[[bytes], None]] = {door.__name__: door for door in DOORS}
 
 
 def run(name: str, data: bytes) -> bool:
@@ -213,6 +260,40 @@ def _log() -> bytes:
     return (folder() / "seed.log").read_bytes()
 
 
+def _log_by_python_can(suffix: str) -> list[bytes]:
+    import can
+
+    path = folder() / f"seed.{suffix}"
+    with can.Logger(path) as logger:
+        for k, length in enumerate((8, 3, 0)):
+            logger(can.Message(1767225600.0 + k, 0xA0 + k, data=bytes(range(length)), is_extended_id=k == 1))
+    return [path.read_bytes()]
+
+
+def _parquet() -> list[bytes]:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    columns = {"t_s": [0.0, 0.01], "rate_dps": [1.0, 1.5], "temp_degC": [20.0, 20.1]}
+    pyarrow.parquet.write_table(pa.table(columns), folder() / "seed.parquet")
+    return [(folder() / "seed.parquet").read_bytes()]
+
+
+def _scenarios() -> list[bytes]:
+    from training.simulator.scenario import BUNDLED
+
+    return [path.read_bytes() for path in sorted(BUNDLED.glob("*.toml"))[:4]]
+
+
+def _keys() -> list[bytes]:
+    from rtcomp.signing import new_key
+
+    private = folder() / "seed.key"
+    if not private.exists():
+        new_key(private)
+    return [(folder() / "seed.key.pub").read_bytes()]
+
+
 def _bundled(pattern: str) -> list[bytes]:
     return [path.read_bytes() for path in sorted(data_folder().glob(pattern))]
 
@@ -239,7 +320,13 @@ _SEEDS: dict[str, Callable[[], list[bytes]]] = {
     "config": lambda: [CONFIG],
     "candump": lambda: [_log()],
     "asc": lambda: [ASC],
+    "trc": lambda: _log_by_python_can("trc"),
+    "blf": lambda: _log_by_python_can("blf"),
+    "can_csv": lambda: _log_by_python_can("csv"),
     "recording": lambda: [CSV],
+    "parquet": _parquet,
+    "scenario": _scenarios,
+    "key": _keys,
     "checkpoint": _checkpoints,
 }
 
