@@ -6,6 +6,7 @@ than a file may be: it is parsed while frames come in.
 """
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,6 +33,7 @@ class Swapper:
         self.counts = {"accepted": 0, "refused": 0}
         self._load, self._swap, self._sensor, self._trust = load, swap, sensor, trust
         self._subscribers: list[Any] = []
+        self._lock = threading.RLock()  # puts come in threads of zenoh's, a reload in a signal's handler
 
     def reload(self) -> None:
         """Take the run's model files as they are now."""
@@ -65,11 +67,15 @@ class Swapper:
         try:
             stacks = read()
         except RequestError as error:
-            self.counts["refused"] += 1
+            self._count("refused")
             log.warning("model not swapped, the old one stays: %s", printable(str(error)))
             return
         self._swap(stacks)
-        self.counts["accepted"] += 1
+        self._count("accepted")
+
+    def _count(self, what: str) -> None:
+        with self._lock:
+            self.counts[what] += 1
 
     def close(self) -> None:
         """Stop listening."""

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tools.fuzz_targets import ASC, TARGETS, run, seeds
+from tools.fuzz_seeds import ASC, seeds
+from tools.fuzz_targets import TARGETS, run
 
 EXAMPLES = {
     "dbc": 60,
@@ -87,12 +88,17 @@ NESTED = (
 )
 
 
-@pytest.mark.parametrize("depth", [30, 100, *range(900, 1010)])
 @pytest.mark.parametrize(("opening", "closing"), ["[]", ('{"a":', "}")])
-def test_no_depth_of_a_model_can_be_read_and_not_written_again(opening, closing, depth):
-    data = NESTED.format(opening=opening * depth, closing=closing * depth).encode()
-    for name in ("model", "swap"):
-        assert run(name, data) == (depth < 32 or name == "swap")
+def test_no_depth_of_a_model_can_be_read_and_not_written_again(opening, closing, caplog):
+    caplog.set_level(logging.CRITICAL)
+    for depth in [
+        30,
+        100,
+        *range(900, 1010),
+    ]:  # about the interpreter's limit, reading and writing differ by one
+        data = NESTED.format(opening=opening * depth, closing=closing * depth).encode()
+        assert run("model", data) == (depth == 30)
+        assert run("swap", data)
 
 
 @pytest.mark.parametrize("what", FINDINGS)

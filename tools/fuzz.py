@@ -15,7 +15,8 @@ from typing import Any
 
 import click
 
-from tools.fuzz_targets import TARGETS, seeds
+from tools.fuzz_seeds import seeds
+from tools.fuzz_targets import TARGETS
 
 MAX_BYTES = 4096
 
