@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from tools import audit
-from tools.soak import RUNTIMES, Watched, growth, judge, main, slope_per_h
+from tools.soak import main
+from tools.soak_judge import RUNTIMES, Watched, growth, judge, slope_per_h
 from tools.soak_load import CYCLE_S, PARTS, cycle
 
 KEPT = """

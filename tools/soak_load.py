@@ -92,7 +92,7 @@ class Load:
         self.pace = HURRY  # of swaps and visits; 1 is theirs
         self._over = threading.Event()
         work = {"frames": self._send, "swaps": self._swap, "visitors": self._churn}
-        self._threads = [threading.Thread(target=work[part], name=part) for part in parts]
+        self._threads = [threading.Thread(target=work[part], name=part, daemon=True) for part in parts]
 
     def start(self) -> None:
         """Begin as soon as the run answers."""
