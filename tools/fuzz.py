@@ -33,7 +33,7 @@ def fuzz_one(name: str, seconds: int, folder: Path) -> dict[str, Any]:
     command = [
         sys.executable, "-m", "tools.fuzz_child", name, str(corpus),
         f"-max_total_time={seconds}", f"-artifact_prefix={found}/", f"-max_len={longest}",
-        "-rss_limit_mb=4096", "-timeout=60", "-print_final_stats=1", "-verbosity=1",
+        "-rss_limit_mb=4096", "-timeout=60", "-report_slow_units=60", "-print_final_stats=1", "-verbosity=1",
     ]  # fmt: skip
     said = folder / f"{name}-said.txt"
     with said.open("w") as file:

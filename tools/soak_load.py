@@ -26,6 +26,7 @@ HURRY = (
     10.0  # times as often at first: an allocator has its pools full after so many events, not after a time
 )
 CLOSING, CLOSING_S = 100, 3.0  # frames sent slowly at the end, so that a loss before lies between two samples
+BURST = 3  # cycles sent at first as fast as it goes: every queue is once as full as it can be, and frames are lost
 PARTS = ("frames", "swaps", "visitors")
 
 
@@ -132,6 +133,7 @@ class Load:
     def _send(self) -> None:
         from rtcomp.sources.transmit import repeated
 
+        self._replay(repeated(lambda: [self.frames], BURST), 0.0, self._over)
         self._replay(repeated(lambda: [self.frames], 1 << 30), 1.0, self._over)
 
     def _swap(self) -> None:
