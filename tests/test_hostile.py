@@ -92,7 +92,7 @@ runner.start(session)
 loop = threading.Thread(target=runner.loop)
 loop.start()
 send(runner, make_trace().frames()[:220])
-paths = [f"/tmp/{MARK}", f"../../{MARK}", f"file:///{MARK}", f"$(touch {MARK})", f"{MARK}.json"]
+paths = [f"/{MARK}", f"../../{MARK}", f"file:///{MARK}", f"$(touch {MARK})", f"{MARK}.json"]
 watching = True
 for path in paths:
     hostile = model_document(new_model(sensor=path, provenance={path: path, "model": path}))
