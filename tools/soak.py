@@ -125,14 +125,15 @@ def account(load: Load, summary: dict[str, Any]) -> tuple[dict[str, Any], dict[s
     uncounted = {
         "frames": load.sent - summary["frames"] - summary["losses"]["receiver"],
         "samples": summary["samples"] - summary["published"] - summary["losses"]["queue"],
-        "received": summary["published"] - listener.received - listener.gaps,
+        "received": summary["samples"] - listener.received - listener.gaps,  # numbered before our queue
     }
+    lost = summary["losses"]
     figures = {
         "sent": load.sent,
         "frames": summary["frames"],
         "samples": summary["samples"],
         "received": listener.received,
-        "losses": summary["losses"] | {"transport": listener.gaps},
+        "losses": lost | {"transport": listener.gaps - lost["queue"]},
         "uncounted": uncounted,
         "swaps": summary["swaps"],
         "visitors": load.visitors,

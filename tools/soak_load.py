@@ -116,8 +116,8 @@ class Load:
         before = self.listener.health
         wait_for(lambda: self.listener.health is not before)
         self.listener.p99_us()
-        published = self.listener.health.get("published")
-        return before.get("published") == published == self.listener.next
+        samples = self.listener.health.get("samples")
+        return before.get("samples") == samples == self.listener.next
 
     def close(self) -> None:
         """Give the session back."""
