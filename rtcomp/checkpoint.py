@@ -123,7 +123,7 @@ def _hash(checkpoint: Checkpoint) -> str:
 
 def model_hashes(stacks: list[Any]) -> list[list[str]]:
     """The hash of every model in every channel's stack."""
-    return [[document_hash(model_document(model)) for model in stack] for stack in stacks]
+    return [[model.sha256 or document_hash(model_document(model)) for model in stack] for stack in stacks]
 
 
 def boot_id() -> str | None:
@@ -202,11 +202,17 @@ class Checkpointer:
     def __init__(self, path: str, live: bool) -> None:
         """`live` tells that frames come now, not out of a log.
 
-        Raises RequestError when the file's folder is not there.
+        Raises RequestError when the file's folder is not there, or something else bears its name.
         """
         self.path, self._live = Path(path), live
         if not self.path.absolute().parent.is_dir():
             raise RequestError(f"cannot write {path}: no such folder; give a file in a folder that exists")
+        if (
+            self.path.is_dir() or self.path.is_fifo() or self.path.is_socket()
+        ):  # would hold up the run, or refuse it
+            raise RequestError(
+                f"cannot keep states in {path}: it is no file; give one, or a name that is free"
+            )
         self.counts = {"restored": 0, "refused": 0, "written": 0, "failed": 0}
         for left in self.path.parent.glob(f".{glob.escape(self.path.name)}.????????"):
             left.unlink(missing_ok=True)  # half written by one that was killed

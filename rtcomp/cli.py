@@ -10,7 +10,7 @@ import click
 
 import rtcomp
 import rtcomp.commands
-from rtcomp.errors import RequestError, WorkError
+from rtcomp.errors import RequestError, WorkError, printable
 
 
 class CommandGroup(click.Group):
@@ -52,10 +52,10 @@ def main(arguments: list[str] | None = None) -> Any:
     try:
         return cli.main(args=arguments, prog_name="rtcomp")
     except RequestError as error:
-        click.echo(f"rtcomp: {error}", err=True)
+        click.echo(f"rtcomp: {printable(str(error))}", err=True)
         sys.exit(2)
     except WorkError as error:
-        click.echo(f"rtcomp: {error}", err=True)
+        click.echo(f"rtcomp: {printable(str(error))}", err=True)
         sys.exit(1)
 
 

@@ -39,11 +39,13 @@ def load_config(path: str | Path) -> RunConfig:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
             raise RequestError(
-                f"{path}: {path.stat().st_size} bytes; a run's configuration is a small TOML file"
+                f"{path}: more than {MAX_BYTES} bytes; a run's configuration is a small TOML file"
             )
-        return msgspec.toml.decode(path.read_bytes(), type=RunConfig)
+        return msgspec.toml.decode(content, type=RunConfig)
     except OSError as error:
         raise RequestError(f"cannot read configuration {path}: {error.strerror}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

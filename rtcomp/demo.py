@@ -96,7 +96,7 @@ class Demo:
         frames = np.concatenate(list(read_log(TRACE)))
         with open_can(self.bus) as bus:
             while not self.runner.stopped.is_set():
-                replay(frames, bus, speed=1.0, stop=self.runner.stopped)
+                replay([frames], bus, speed=1.0, stop=self.runner.stopped)
 
     def summary(self) -> dict[str, Any]:
         """What `--json` prints; losses on the way to the subscriber are in it."""

@@ -1,4 +1,4 @@
-"""The two ways a command ends badly; both carry one sentence for a person."""
+"""The two ways a command ends badly, both with one sentence for a person, and how foreign text is shown in it."""
 
 
 class RequestError(Exception):
@@ -7,3 +7,11 @@ class RequestError(Exception):
 
 class WorkError(Exception):
     """The request was right but the work failed (exit status 1)."""
+
+
+def printable(text: str) -> str:
+    """One line of text that does nothing to a terminal or a log but appear: control characters become escapes.
+
+    For what came in a message or a file and is shown in an error.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -26,6 +26,7 @@ MAX_RULES = 1024
 MAX_TERMS = 256
 MAX_TABLE = 4096  # numbers of one table: polynomial coefficients, knots, residual regions
 MAX_BYTES = 16 * 2**20
+MAX_DEPTH = 32  # of nested JSON; rules need four, a provenance some more
 NOT_HASHED = ("sha256", "signature")
 
 
@@ -115,11 +116,11 @@ def read_document(path: str | Path) -> dict[str, Any]:
 
 def _read(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RequestError(
-                f"{path}: a model of {path.stat().st_size} bytes; at most {MAX_BYTES} are read"
-            )
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise RequestError(f"{path}: a model of more than {MAX_BYTES} bytes; at most that are read")
+        return content.decode()
     except OSError as error:
         raise RequestError(
             f"cannot read model {path}: {error.strerror}; give the path of a model file"
@@ -221,7 +222,21 @@ def _parse_json(text: str, name: str) -> dict[str, Any]:
         raise RequestError(
             f"{name}: got a JSON {type(document).__name__}, wanted an object with schema {SCHEMA!r}"
         )
+    _check_depth(document, name)
     return document
+
+
+def _check_depth(document: Any, name: str) -> None:
+    """What can just be read may be too deep to be written again, by a thread that must not fail."""
+    level = [document]
+    for _ in range(MAX_DEPTH):
+        children = (child for item in level for child in (item.values() if isinstance(item, dict) else item))
+        level = [child for child in children if isinstance(child, dict | list)]
+        if not level:
+            return
+    raise RequestError(
+        f"{name}: nested more than {MAX_DEPTH} deep; a model is a few levels of objects and lists"
+    )
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rtcomp.errors import printable
 from rtcomp.model import Model, ResidualTable
 from rtcomp.terms import TERMS
 
@@ -10,12 +11,13 @@ def describe_model(model: Model, name: str) -> None:
     """Print what a model holds on standard output."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console(highlight=False)
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for key, value in model_facts(model):
-        facts.add_row(f"[bold]{key}[/]", value)
-    console.print(f"{name}: a valid model", facts, sep="\n")
+        facts.add_row(Text(printable(key), "bold"), Text(printable(value)))  # as it is, no markup of rich's
+    console.print(Text(f"{printable(name)}: a valid model"), facts, sep="\n")
     if model.rules.centers:
         console.print(_rules_table(model))
 

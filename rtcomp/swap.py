@@ -1,18 +1,21 @@
 """Other models while running: the files again on SIGHUP, or a put to an opt-in zenoh key.
 
 A swap is whole or not at all: what cannot be read, is of another sensor, fails its hash or is signed by nobody
-trusted is refused, counted and said, and the old model stays. Nothing in a message names a file.
+trusted is refused, counted and said, and the old model stays. Nothing in a message names a file. A put is smaller
+than a file may be: it is parsed while frames come in.
 """
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rtcomp.errors import RequestError
-from rtcomp.model import MAX_BYTES, Model, check_sensor, parse_model
+from rtcomp.errors import RequestError, printable
+from rtcomp.model import Model, check_sensor, parse_model
 
 log = logging.getLogger(__name__)
 
+MAX_BYTES = 1 << 20  # three times what the most rules take
 Stacks = dict[str, list[Model]]
 
 
@@ -30,6 +33,7 @@ class Swapper:
         self.counts = {"accepted": 0, "refused": 0}
         self._load, self._swap, self._sensor, self._trust = load, swap, sensor, trust
         self._subscribers: list[Any] = []
+        self._lock = threading.RLock()  # puts come in threads of zenoh's, a reload in a signal's handler
 
     def reload(self) -> None:
         """Take the run's model files as they are now."""
@@ -63,11 +67,15 @@ class Swapper:
         try:
             stacks = read()
         except RequestError as error:
-            self.counts["refused"] += 1
-            log.warning("model not swapped, the old one stays: %s", error)
+            self._count("refused")
+            log.warning("model not swapped, the old one stays: %s", printable(str(error)))
             return
         self._swap(stacks)
-        self.counts["accepted"] += 1
+        self._count("accepted")
+
+    def _count(self, what: str) -> None:
+        with self._lock:
+            self.counts[what] += 1
 
     def close(self) -> None:
         """Stop listening."""

@@ -25,6 +25,7 @@ from rtcomp.signing import write_new
 VEHICLE, PORT, DAYS = "vehicle", 7447, 825
 READ_LEAVES = ("rate", "batch", "health", "model", "schema", "alive")
 SWAP_LEAF = "model/swap"
+MAX_MESSAGE = 4 << 20  # bytes that the vehicle puts together of one message; zenoh's own limit is a GiB
 
 
 class Authority(NamedTuple):
@@ -110,9 +111,10 @@ def tls_config(folder: Path, name: str) -> dict[str, Any]:
         "enable_mtls": True,
         "verify_name_on_connect": True,
     }
+    limits = {"rx": {"max_message_size": MAX_MESSAGE}} if name == VEHICLE else {}
     return {
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {"link": {"protocols": ["tls"], "tls": tls}},
+        "transport": {"link": {"protocols": ["tls"], "tls": tls} | limits},
     }
 
 

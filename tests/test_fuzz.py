@@ -6,9 +6,17 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tools.fuzz_targets import ASC, TARGETS, run, seeds
+from tools.fuzz_seeds import ASC, seeds
+from tools.fuzz_targets import TARGETS, run
 
-EXAMPLES = {"dbc": 60, "asc": 100, "signal_map": 100}  # their parsers are slow
+EXAMPLES = {
+    "dbc": 60,
+    "asc": 100,
+    "trc": 100,
+    "blf": 100,
+    "can_csv": 100,
+    "signal_map": 100,
+}  # their parsers are slow
 WILD = (
     b"-1",
     b"1e308",
@@ -75,6 +83,22 @@ FINDINGS = {
         b'"terms": [{"effect": "thermal_lag", "parameters": {"tau_s": 1e300}}]}',
     ),
 }
+NESTED = (
+    '{{"schema": "rtcomp.model/1", "inputs": [], "rules": {{}}, "provenance": {{"a": {opening}1{closing}}}}}'
+)
+
+
+@pytest.mark.parametrize(("opening", "closing"), ["[]", ('{"a":', "}")])
+def test_no_depth_of_a_model_can_be_read_and_not_written_again(opening, closing, caplog):
+    caplog.set_level(logging.CRITICAL)
+    for depth in [
+        30,
+        100,
+        *range(900, 1010),
+    ]:  # about the interpreter's limit, reading and writing differ by one
+        data = NESTED.format(opening=opening * depth, closing=closing * depth).encode()
+        assert run("model", data) == (depth == 30)
+        assert run("swap", data)
 
 
 @pytest.mark.parametrize("what", FINDINGS)

@@ -15,7 +15,15 @@ from rtcomp.errors import RequestError, WorkError
 from rtcomp.model import model_document
 from rtcomp.run import Runner
 from rtcomp.zenoh_session import open_session
-from rtcomp.zenoh_tls import VEHICLE, main, new_authority, tls_config, write_identity, write_network
+from rtcomp.zenoh_tls import (
+    MAX_MESSAGE,
+    VEHICLE,
+    main,
+    new_authority,
+    tls_config,
+    write_identity,
+    write_network,
+)
 
 HOST = "127.0.0.1"
 SWAP, RATE = "rtcomp/yaw/model/swap", "rtcomp/yaw/rate"
@@ -92,6 +100,18 @@ def test_a_reader_does_not_swap_and_an_operator_does(network, vehicle, ts_model)
         time.sleep(0.5)
         session.put(SWAP, payload)
         assert wait_for(lambda: vehicle.swapper.counts["accepted"] == before["accepted"] + 1)
+
+
+def test_what_is_larger_than_any_model_is_not_put_together(network, vehicle, ts_model):
+    from zenoh import CongestionControl
+
+    before = dict(vehicle.swapper.counts)
+    with open_session(network[0] / "operator.json5") as session:
+        time.sleep(0.5)
+        session.put(SWAP, bytes(16 * MAX_MESSAGE), congestion_control=CongestionControl.BLOCK)
+        session.put(SWAP, json.dumps(model_document(ts_model)), congestion_control=CongestionControl.BLOCK)
+        assert wait_for(lambda: vehicle.swapper.counts["accepted"] == before["accepted"] + 1, 60.0)
+    assert vehicle.swapper.counts["refused"] == before["refused"]
 
 
 def test_a_reader_publishes_nothing_in_the_vehicles_name(network, vehicle):

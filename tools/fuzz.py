@@ -15,9 +15,11 @@ from typing import Any
 
 import click
 
-from tools.fuzz_targets import TARGETS, seeds
+from tools.fuzz_seeds import seeds
+from tools.fuzz_targets import TARGETS
 
 MAX_BYTES = 4096
+START_S = 1800  # a child compiles first, perhaps on a machine with better things to do
 
 
 def fuzz_one(name: str, seconds: int, folder: Path) -> dict[str, Any]:
@@ -31,12 +33,15 @@ def fuzz_one(name: str, seconds: int, folder: Path) -> dict[str, Any]:
     command = [
         sys.executable, "-m", "tools.fuzz_child", name, str(corpus),
         f"-max_total_time={seconds}", f"-artifact_prefix={found}/", f"-max_len={longest}",
-        "-rss_limit_mb=4096", "-timeout=20", "-print_final_stats=1", "-verbosity=1",
+        "-rss_limit_mb=4096", "-timeout=60", "-report_slow_units=60", "-print_final_stats=1", "-verbosity=1",
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 300, check=False)
-    executions = re.search(r"number_of_executed_units: (\d+)", done.stderr)
-    coverage = re.findall(r"cov: (\d+)", done.stderr)
-    reason = re.findall(r"=== Uncaught Python exception: ===\n(.*)", done.stderr)
+    said = folder / f"{name}-said.txt"
+    with said.open("w") as file:
+        status = _ended(subprocess.Popen(command, stdout=file, stderr=file), seconds + START_S)
+    text = said.read_text(errors="replace")
+    executions = re.search(r"number_of_executed_units: (\d+)", text)
+    coverage = re.findall(r"cov: (\d+)", text)
+    reason = re.findall(r"=== Uncaught Python exception: ===\n(.*)", text)
     return {
         "target": name,
         "executions": int(executions.group(1)) if executions else 0,
@@ -45,8 +50,19 @@ def fuzz_one(name: str, seconds: int, folder: Path) -> dict[str, Any]:
         "findings": [
             {"reason": (reason or ["?"])[0], "input": path.read_bytes().hex()} for path in found.iterdir()
         ],
-        "ended": done.returncode,
+        "ended": status,
     }
+
+
+def _ended(process: "subprocess.Popen[bytes]", seconds: float) -> int | str:
+    """The exit status; one that does not end is killed and an outcome too, not the end of what comes after it."""
+    try:
+        return process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        return f"not by itself in {seconds:.0f} s"
+    finally:
+        process.kill()
+        process.wait()
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -65,7 +81,10 @@ def main(targets: tuple[str, ...], seconds: int, out: Path | None, as_json: bool
     if unknown:
         raise click.UsageError(f"no target {unknown[0]!r}; there are {', '.join(TARGETS)}")
     folder = out or Path(tempfile.mkdtemp(prefix="rtcomp-fuzz-"))
-    results = [fuzz_one(name, seconds, folder) for name in targets or TARGETS]
+    results = []
+    for name in targets or TARGETS:
+        results.append(fuzz_one(name, seconds, folder))
+        (folder / "results.json").write_text(json.dumps(results))  # what there is, should it be stopped
     table = Table("target", "executions", "coverage", "findings", title=f"{seconds} s each, in {folder}")
     for result in results:
         reasons = "; ".join(item["reason"] for item in result["findings"]) or "none"

@@ -27,7 +27,8 @@ def main(name: str, arguments: list[str]) -> None:
     """Fuzz until the time is over or something is found."""
     logging.disable(logging.CRITICAL)
     with instrument_imports(include=GUIDED, exclude=modules_with_kernels()):
-        from tools.fuzz_targets import run, seeds
+        from tools.fuzz_seeds import seeds
+        from tools.fuzz_targets import run
 
         for seed in seeds(name):
             run(name, seed)  # loads and compiles what there is, before anybody counts

@@ -10,11 +10,9 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from rtcomp import fog_format
 from rtcomp.errors import RequestError
 from rtcomp.frames import FRAME
 from rtcomp.model import Model, model_document, parse_model
@@ -66,7 +64,7 @@ def correct(
 def model(data: bytes) -> None:
     """A model file's text."""
     accepted = parse_model(data.decode("utf-8", "replace"), "fuzz")
-    model_document(accepted)
+    json.dumps(model_document(accepted))  # as it is served
     correct([accepted])
 
 
@@ -82,6 +80,8 @@ def swap(data: bytes) -> None:
     pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
     pipeline.process_all(few_frames())
     pipeline.swap(taken)
+    for stack in taken.values():
+        json.dumps([model_document(model) for model in stack])  # as the run serves it from then on
     pipeline.process_all(few_frames())
 
 
@@ -128,11 +128,31 @@ def candump(data: bytes) -> None:
 
 def asc(data: bytes) -> None:
     """A log that python-can reads."""
+    _log_of(data, "asc")
+
+
+def trc(data: bytes) -> None:
+    """A log that python-can reads."""
+    _log_of(data, "trc")
+
+
+def blf(data: bytes) -> None:
+    """A binary log that python-can reads."""
+    _log_of(data, "blf")
+
+
+def can_csv(data: bytes) -> None:
+    """A log that python-can reads."""
+    _log_of(data, "csv")
+
+
+def _log_of(data: bytes, suffix: str) -> None:
     from rtcomp.sources.logs import read_log
 
-    with as_file(data, "fuzz.asc") as path:
-        for _ in read_log(path):
-            pass
+    with as_file(data, f"fuzz.{suffix}") as path:
+        for array in read_log(path):
+            if (array["length"] > 64).any():
+                raise AssertionError("a frame longer than any")
 
 
 def recording(data: bytes) -> None:
@@ -141,6 +161,32 @@ def recording(data: bytes) -> None:
 
     with as_file(data, "fuzz.csv") as path:
         read_recording(path)
+
+
+def parquet(data: bytes) -> None:
+    """A recorded table in binary."""
+    from training.table import read_recording
+
+    with as_file(data, "fuzz.parquet") as path:
+        read_recording(path)
+
+
+def scenario(data: bytes) -> None:
+    """A scenario of the gyro simulator."""
+    from training.simulator.scenario import load_scenario
+
+    with as_file(data, "fuzz.toml") as path:
+        load_scenario(path)
+
+
+def key(data: bytes) -> None:
+    """A key file, taken for either kind."""
+    from rtcomp.signing import load_private_key, load_public_keys
+
+    with as_file(data, "fuzz.key") as path:
+        with contextlib.suppress(RequestError):
+            load_private_key(path)
+        load_public_keys([path])
 
 
 def checkpoint(data: bytes) -> None:
@@ -156,10 +202,11 @@ def checkpoint(data: bytes) -> None:
     pipeline.process_all(few_frames())
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {
-    target.__name__: target
-    for target in (model, swap, frames, signal_map, dbc, config, candump, asc, recording, checkpoint)
-}
+DOORS = (
+    model, swap, frames, signal_map, dbc, config, candump, asc, trc, blf, can_csv, recording, parquet, scenario, key,
+    checkpoint,
+)  # fmt: skip
+TARGETS: dict[str, Callable[[bytes], None]] = {door.__name__: door for door in DOORS}
 
 
 def run(name: str, data: bytes) -> bool:
@@ -169,79 +216,3 @@ def run(name: str, data: bytes) -> bool:
     except RequestError:
         return False
     return True
-
-
-@cache
-def seeds(name: str) -> tuple[bytes, ...]:
-    """Good inputs to start from."""
-    return tuple(_SEEDS[name]())
-
-
-def _models() -> list[bytes]:
-    from rtcomp.demo import MODEL
-    from rtcomp.terms import TERMS
-
-    terms = [
-        {"effect": effect, "parameters": dict.fromkeys(kind.names, 1.5)}
-        for effect, kind in TERMS.items()
-        if effect != "unknown"
-    ]
-    shape = {"driver": "rate", "knots": [0.0, 1.0], "values": [1.0, 2.0], "times_rate": True}
-    full = model_document(make_model()) | {"terms": [*terms, {"effect": "unknown", "parameters": shape}]}
-    del full["sha256"]
-    table = {"temp_degC": [0.0, 20.0, 40.0], "rate_dps": [-9.0, 9.0], "std_dps": [[0.1], [0.2]]}
-    sine = full | {"base": {"kind": "open_loop_sine", "K0_s": 0.5}, "residual_std_dps": table, "terms": []}
-    demo = json.loads(MODEL.read_text())
-    del demo["sha256"]
-    return [json.dumps(document).encode() for document in (full, sine, demo)]
-
-
-def _checkpoints() -> list[bytes]:
-    from rtcomp.checkpoint import encode, take_snapshot
-
-    pipeline = Pipeline(fog(), {"yaw": [make_model()]}, START_NS)
-    pipeline.process_all(few_frames())
-    return [encode(take_snapshot(pipeline, int(few_frames()["t_ns"][-1]), None))]
-
-
-def _log() -> bytes:
-    from rtcomp.sources.candump import write_candump
-
-    write_candump(folder() / "seed.log", few_frames())
-    return (folder() / "seed.log").read_bytes()
-
-
-def _bundled(pattern: str) -> list[bytes]:
-    return [path.read_bytes() for path in sorted(data_folder().glob(pattern))]
-
-
-ASC = b"""date Sat Sep 30 10:06:13.191 PM 2017
-base hex  timestamps absolute
-internal events logged
-  0.000000 Start of measurement
-  0.015991 1  0A0             Rx   d 8 01 02 03 04 05 06 07 08
-  0.016991 CANFD   1 Rx  0A2  Msg  1 0 9 12 00 01 02 03 04 05 06 07 08 09 0a 0b 0 0 3000 0 0 0 0 0
-  0.020000 1  ErrorFrame
-"""
-CONFIG = (
-    b'bus = "virtual:x"\nmodel = ["yaw=m.json"]\ntrust = ["k.pub"]\nseconds = 3.5\nkeys = {yaw = "a/b"}\n'
-)
-CSV = b"t_s,rate_dps,temp_degC,ref_rate_dps\n0.0,1.0,20.0,1.1\n0.01,1.5,20.1,1.4\n0.02,-1e3,nan,\n"
-
-_SEEDS: dict[str, Callable[[], list[bytes]]] = {
-    "model": _models,
-    "swap": _models,
-    "frames": lambda: [few_frames()[:20].tobytes(), fog_format.encode_fd([START_NS], [1.0]).tobytes()],
-    "signal_map": lambda: _bundled("*.toml"),
-    "dbc": lambda: _bundled("fog.dbc"),
-    "config": lambda: [CONFIG],
-    "candump": lambda: [_log()],
-    "asc": lambda: [ASC],
-    "recording": lambda: [CSV],
-    "checkpoint": _checkpoints,
-}
-
-
-def finding(name: str, data: bytes) -> dict[str, Any]:
-    """A finding as a document that a regression test can be made of."""
-    return {"target": name, "input": data.hex()}

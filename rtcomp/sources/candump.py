@@ -181,7 +181,9 @@ class CandumpWriter:
         self._channel = np.frombuffer(channel.encode(), np.uint8).copy()
         self._text = np.empty(max(1 << 16, 4 * (LONGEST_LINE + len(self._channel))), np.uint8)
         try:
-            file = self.part.open("wb")
+            if not device:
+                self.part.unlink(missing_ok=True)  # never written through a link that somebody put there
+            file = self.part.open("wb" if device else "xb")
         except OSError as error:
             raise RequestError(
                 f"{path}: cannot be written ({error.strerror}); give a writable path"

@@ -1,11 +1,13 @@
 """The process killed at random moments: what it leaves behind is whole, and the next one carries on.
 
 The parent compiles once and forks, so a restart costs little; every child is a whole run on a virtual bus, with its
-states written ten times a second, killed by SIGKILL somewhere in the second after its start.
+states written ten times a second, killed by SIGKILL somewhere in twice the time that the first one took to begin (a
+second at least). The model's lag is long, so that states are fresh however slow a restart is.
 """
 
 import os
 import random
+import select
 import signal
 import threading
 import time
@@ -14,6 +16,7 @@ from typing import Any
 
 from rtcomp.checkpoint import decode
 from rtcomp.errors import RequestError
+from rtcomp.model import Term
 from rtcomp.run import warm_up
 from rtcomp.sources.candump import read_candump
 from tools.faults.runs import Context, Documents, fault, model_file
@@ -22,6 +25,7 @@ from tools.faults.trace import compiled_strict_map, make_trace
 FULL, QUICK = 200, 5
 PERIOD_S = 0.1
 LONGEST_S = 1.0
+FORGOTTEN_S = 600.0  # after which a run ends that nobody is left to kill
 
 
 def _child(folder: Path, model: Path, told: int) -> None:
@@ -38,13 +42,14 @@ def _child(folder: Path, model: Path, told: int) -> None:
         model=[str(model)],
         state=str(folder / "state.json"),
         record=str(folder / "kept.log"),
+        seconds=FORGOTTEN_S,
     )
     runner = Runner(config)
     runner.start()
 
     def feed() -> None:
         with open_can(str(config.bus)) as bus:
-            replay(make_trace().frames(), bus, speed=1.0, stop=threading.Event())
+            replay([make_trace().frames()], bus, speed=1.0, stop=threading.Event())
 
     def tell() -> None:
         while not runner.pipeline.counts["frames"]:
@@ -57,8 +62,8 @@ def _child(folder: Path, model: Path, told: int) -> None:
     runner.loop()
 
 
-def _life(folder: Path, model: Path, lasts_s: float) -> str:
-    """One run from start to kill; what it told."""
+def _life(folder: Path, model: Path, lasts_s: float | None) -> str:
+    """One run from start to kill, or until it has begun; what it told."""
     listen, told = os.pipe()
     child = os.fork()
     if child == 0:
@@ -68,10 +73,13 @@ def _life(folder: Path, model: Path, lasts_s: float) -> str:
         finally:
             os._exit(1)
     os.close(told)
-    time.sleep(lasts_s)
-    os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
     with os.fdopen(listen, "rb") as pipe:
+        if lasts_s is None:
+            select.select([pipe], [], [], 60.0)
+        else:
+            time.sleep(lasts_s)
+        os.kill(child, signal.SIGKILL)
+        _, status = os.waitpid(child, 0)
         said = pipe.read().decode()
     return said if os.WTERMSIG(status) == signal.SIGKILL else "crashed"
 
@@ -94,13 +102,16 @@ def kills(context: Context) -> Documents:
     """Kill, look, restart, as often as it says."""
     times = QUICK if context.quick else FULL
     warm_up(compiled_strict_map())
-    dice = random.Random(20)
-    model, state = model_file(context), context.folder / "state.json"
+    dice, longest_s = random.Random(20), None
+    slow = Term("thermal_lag", {"tau_s": 1000.0, "bias_dps_per_K": 0.1})
+    model, state = model_file(context, terms=[slow]), context.folder / "state.json"
     got: dict[str, Any] = {"kills": 0, "crashed": 0, "states_corrupt": 0, "states_refused": 0, "logs_torn": 0}
     restored = begun = 0
     for _ in range(times):
         known = state.exists()
-        said = _life(context.folder, model, dice.uniform(0.0, LONGEST_S))
+        started = time.monotonic()
+        said = _life(context.folder, model, longest_s and dice.uniform(0.0, longest_s))
+        longest_s = longest_s or max(LONGEST_S, 2.0 * (time.monotonic() - started))
         got["kills"] += 1
         got["crashed"] += said == "crashed"
         got["states_refused"] += said == "01"

@@ -94,7 +94,7 @@ def send(runner: Runner, frames: np.ndarray, speed: float = 0) -> None:
 
     wanted = runner.pipeline.counts["frames"] + len(frames)
     with open_can(str(runner.config.bus)) as bus:
-        replay(frames, bus, speed=speed, stop=threading.Event())
+        replay([frames], bus, speed=speed, stop=threading.Event())
     wait_for(lambda: runner.pipeline.counts["frames"] >= wanted)
 
 

@@ -6,6 +6,7 @@ for five seconds: 500 samples of a healthy run are flagged, and no other.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -119,7 +120,27 @@ def counted(compiled: CompiledMap, frames: np.ndarray, models: list[Model]) -> d
         "clock_steps": counts["clock_steps"],
         "temperatures": counts["frames"] - counts["samples"] - of_frames - counts["ignored"],
         "honest": is_honest(samples, pipeline.flags),
+        "undeclared": undeclared(samples, _healthy_samples()),
     }
+
+
+@cache
+def _healthy_samples() -> np.ndarray:
+    pipeline = Pipeline(compiled_strict_map(), {"yaw": [make_model()]}, START_NS)
+    return pipeline.process_all(make_trace().frames()).corrected
+
+
+def undeclared(samples: np.ndarray, healthy: np.ndarray) -> int:
+    """Samples off by more than the standard deviation they state, with no flag that a healthy run has not there.
+
+    The same sample is the one of the same time, or, where times were changed, of the same raw rate.
+    """
+    by_time = {int(t): k for k, t in enumerate(healthy["t_ns"])}
+    by_rate = {float(rate): k for k, rate in enumerate(healthy["rate_raw_dps"])}
+    pairs = zip(samples["t_ns"].tolist(), samples["rate_raw_dps"].tolist(), strict=True)
+    same = healthy[np.array([by_time[t] if t in by_time else by_rate[rate] for t, rate in pairs], np.intp)]
+    is_off = np.abs(samples["rate_dps"] - same["rate_dps"]) > samples["sigma_dps"]
+    return int(np.count_nonzero(is_off & (samples["flags"] & ~same["flags"] == 0)))
 
 
 def is_honest(samples: np.ndarray, flags: dict[str, int]) -> bool:
