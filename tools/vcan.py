@@ -34,7 +34,7 @@ PROBE_S = 30  # a guest under KVM boots in a few seconds; one that hangs hangs f
 PASSED_ON = ("NUMBA_", "PYTEST_", "RTCOMP_", "PYTHONPATH", "HYPOTHESIS_")
 TIMED_OUT = 124  # as timeout(1) has it
 WARM_UP = "python -m pytest -q -p no:cacheprovider tests/test_socketcan.py tests/test_replay.py"
-# The emulated processor's own clock, which the kernel would not trust by itself: a reading of the HPET takes 7 µs there.
+# The emulated processor's own clock, which the kernel would not trust by itself; to read the HPET takes 7 µs there.
 EMULATED = ("--disable-kvm", "--append", "tsc=reliable clocksource=tsc")
 VCAN_UP = """\
 modprobe vcan 2>/dev/null
