@@ -37,8 +37,10 @@ NOTHING = Batch(np.zeros(0, CORRECTED), np.zeros(0, np.uint8), np.zeros(0, np.in
 class SampleQueue(Protocol):
     """One thread puts, one takes."""
 
-    lost: int
-    """Samples that found no room, where the queue itself had to drop them."""
+    @property
+    def lost(self) -> int:
+        """Samples that found no room, where the queue itself had to drop them."""
+        ...
 
     def put(
         self, corrected: np.ndarray, channel: np.ndarray, t_received_ns: int, t_corrected_ns: int
@@ -67,7 +69,7 @@ class BatchQueue:
     """Arrays of samples through a queue of the standard library."""
 
     def __init__(self) -> None:
-        self.lost = 0
+        self.lost = 0  # it drops nothing by itself
         self._queue: SimpleQueue[Batch | None] = SimpleQueue()
         self._put = self._done = 0
 

@@ -109,18 +109,12 @@ def c_model() -> CModel:
     """`struct model` of core.c."""
     ours = model()
     rules, limits = ours.rules, ours.validity
-    lag = ours.terms[0].parameters
-    rest = [
-        *limits["temp_degC"],
-        *limits["rate_dps"],
-        lag["tau_s"],
-        float(lag["scale_ppm_per_K"]) * 1e-6,
-        0.03,
-    ]
-    rows = rules.centers, 1.0 / np.array(rules.widths), rules.consequents
+    lag: Any = ours.terms[0].parameters
+    rest = [*limits["temp_degC"], *limits["rate_dps"], lag["tau_s"], lag["scale_ppm_per_K"] * 1e-6, 0.03]
+    rows = rules.centers, 1.0 / np.array(rules.widths), rules.consequents, rest
     filled = CModel()
-    for (name, kind), values in zip(CModel._fields_, (*map(np.ravel, rows), rest), strict=True):
-        setattr(filled, name, kind(*values))
+    for name, values in zip(("centers", "inverse_widths", "consequents", "rest"), rows, strict=True):
+        getattr(filled, name)[:] = np.ravel(values).tolist()
     return filled
 
 
@@ -182,12 +176,14 @@ def figures(told: Result, sent: Sent, at_ns: np.ndarray, rate_dps: np.ndarray) -
     if len(which) and not (np.diff(which) > 0).all():
         raise SystemExit("tools.bench_live: samples came twice or out of order")
     latency_us = (at_ns - sent.rate_at_ns[which]) / 1e3
-    percentiles = np.percentile(latency_us, [50, 99]) if len(which) else [None, None]
+    latency = {
+        name: float(np.percentile(latency_us, p)) for name, p in (("p50", 50), ("p99", 99)) if len(which)
+    }
     taken = max(told["frames"], 1)
     last_ns = sent.rate_at_ns.max()
     result = {
         "cpu_us_per_frame": told["cpu_s"] / taken * 1e6,
-        "latency_us": dict(zip(("p50", "p99"), map(float, percentiles), strict=True)) if len(which) else None,
+        "latency_us": latency or None,
         "lost": int((sent.rate_at_ns >= 0).sum()) - len(which),
         "process_cpu_us_per_frame": told["process_cpu_s"] / taken * 1e6,
         "frames": told["frames"],
