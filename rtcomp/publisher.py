@@ -148,10 +148,10 @@ class Publisher:
                 self.stages["total"].add(t_pub_ns - mine["t_ns"])
         t_out_ns = self._clock_ns()
         self.published += len(corrected)
-        self.queue.done(len(corrected))
         self.stages["receive"].add(batch.t_received_ns - corrected["t_ns"])
         self.stages["correct"].add(batch.t_corrected_ns - batch.t_received_ns)
         self.stages["publish"].add(t_out_ns - batch.t_corrected_ns)
+        self.queue.done(len(corrected))
 
     def _publish_health(self) -> None:
         for name, publisher in zip(self.names, self._healths, strict=True):

@@ -53,7 +53,10 @@ class SampleQueue(Protocol):
         ...
 
     def take(self, timeout_s: float) -> Batch | None:
-        """What has come, waiting at most `timeout_s` for it; `NOTHING` then, None after the end."""
+        """What has come, waiting at most `timeout_s` for it; `NOTHING` then, None after the end.
+
+        The arrays may be changed, and are good until `done`.
+        """
         ...
 
     def done(self, count: int) -> None:
@@ -153,7 +156,7 @@ class SampleRing:
         first = int(self.words[TAIL]) % self.room
         part = slice(first, first + min(self._waiting, self.room - first))
         self._waiting -= part.stop - first
-        return Batch(self.samples[part].copy(), self.channel[part].copy(), *self.times[part].T.copy())
+        return Batch(self.samples[part], self.channel[part], *self.times[part].T)
 
     def done(self, count: int) -> None:
         """See `SampleQueue`."""

@@ -90,7 +90,7 @@ def test_queue_gives_all_before_its_end(queue):
 def drain(ring):
     parts = []
     while (batch := ring.take(0.0)) is not None and len(batch.corrected):
-        parts.append(batch.corrected)
+        parts.append(batch.corrected.copy())
         ring.done(len(batch.corrected))
     return np.concatenate(parts) if parts else np.zeros(0, CORRECTED)
 

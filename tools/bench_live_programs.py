@@ -23,6 +23,7 @@ import numpy as np
 
 Run = dict[str, Any]
 POLL_S = 0.1
+QUIET_POLLS = 10  # without an arrival, after which nothing more is expected
 
 
 def serve(run: Callable[[Run, Callable[[], None]], Run]) -> None:
@@ -195,10 +196,10 @@ def listener(session: Any, bus: str) -> None:
         arrivals.clear()
         until_told()
         seen, quiet, deadline = -1, 0, time.monotonic() + request["drain_s"]
-        while quiet < 3 and time.monotonic() < deadline:
+        while quiet < QUIET_POLLS and time.monotonic() < deadline:
             quiet = quiet + 1 if len(arrivals) == seen else 0
             seen = len(arrivals)
-            time.sleep(0.1)
+            time.sleep(POLL_S)
         taken = list(arrivals)
         rate_of = RATES[request["program"]]
         columns = np.array([t for t, _ in taken], np.int64), np.array([rate_of(p) for _, p in taken])
