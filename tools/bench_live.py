@@ -201,13 +201,14 @@ def zenoh_configs(folder: Path) -> tuple[Path, Path]:
         probe.bind(("127.0.0.1", 0))
         endpoint = [f"tcp/127.0.0.1:{probe.getsockname()[1]}"]
     quiet = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    queue = {"link": {"tx": {"queue": {"size": {"data": 16}}}}}  # batches, at most; a busy machine needs them
     paths = folder / "ours.json5", folder / "theirs.json5"
     ends: tuple[Result, Result] = (
         {"connect": {"endpoints": endpoint}, "listen": {"endpoints": []}},
         {"listen": {"endpoints": endpoint}},
     )
     for path, end in zip(paths, ends, strict=True):
-        path.write_text(json.dumps({"mode": "peer", "scouting": quiet} | end))
+        path.write_text(json.dumps({"mode": "peer", "scouting": quiet, "transport": queue} | end))
     return paths
 
 
