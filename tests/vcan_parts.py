@@ -64,12 +64,15 @@ def free_endpoint():
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def zenoh_config(path, mode="peer", connect=(), listen=()):
+def zenoh_config(path, mode="peer", connect=(), listen=(), patient=False):
+    """`patient` lets the publisher's thread wait for a slow network instead of dropping after a millisecond."""
     scouting = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
     ends = {"connect": {"endpoints": list(connect)}, "listen": {"endpoints": list(listen)}}
     if connect:  # go on trying, as one does in a vehicle
         ends["connect"] |= {"timeout_ms": -1, "exit_on_failure": False}
-    path.write_text(json.dumps({"mode": mode, "scouting": scouting} | ends))
+    queue = {"congestion_control": {"drop": {"wait_before_drop": 10_000_000}}} if patient else {}
+    document = {"mode": mode, "scouting": scouting, "transport": {"link": {"tx": {"queue": queue}}}}
+    path.write_text(json.dumps(document | ends))
     return path
 
 
