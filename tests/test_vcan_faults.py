@@ -53,9 +53,9 @@ def scenario(name):
 class Context:
     """What a scenario works with."""
 
-    def __init__(self, folder, frames, model):
-        self.folder, self.frames = folder, frames
-        self.rates = int((frames["can_id"] == RATE_ID).sum())
+    def __init__(self, folder, make_frames, model):
+        self.folder, self.frames, self.longer = folder, make_frames(4.0), make_frames(16.0)
+        self.rates = int((self.frames["can_id"] == RATE_ID).sum())
         self.model = str(folder / "model.json")
         save_model(model, self.model)
 
@@ -157,21 +157,22 @@ def _thread(runner):
 @scenario("subscriber slow, then gone")
 def _slow_then_gone(context):
     endpoint = free_endpoint()
-    config = zenoh_config(context.folder / "ours.json5", listen=[endpoint])
+    config = zenoh_config(context.folder / "ours.json5", listen=[endpoint], patient=False)
+    theirs = zenoh_config(context.folder / "slow.json5", connect=[endpoint])
+    half, rates = len(context.longer) // 2, int((context.longer["can_id"] == RATE_ID).sum())
     with open_session(config) as session, running(session) as runner:
-        slow = Collector(zenoh_config(context.folder / "slow.json5", connect=[endpoint]), pause_s=0.02)
-        wait_for(lambda: runner.publisher.wait_for_subscribers(0.0), "the subscriber")
-        sent = sum(send(context.frames, speed=8) for _ in range(3))
-        wait_for(lambda: runner.pipeline.counts["frames"] >= sent, "all frames")
-        slow.kill()
-        sent += send(context.frames)
-        taken(runner, sent)
+        with Collector(theirs, pause_s=0.02):
+            wait_for(lambda: runner.publisher.wait_for_subscribers(0.0), "the subscriber")
+            send(context.longer[:half], speed=8)
+            wait_for(lambda: runner.pipeline.counts["frames"] >= half, "all frames")
+        send(context.longer[half:])
+        taken(runner, len(context.longer))
     got = chosen(runner, "frames", "samples", "losses")
     queue = got["losses"].pop("queue")
     return (
         {
-            "frames": 4 * len(context.frames),
-            "samples": 4 * context.rates,
+            "frames": len(context.longer),
+            "samples": rates,
             "losses": {"receiver": 0},
             "adds up": True,
         },
@@ -184,26 +185,27 @@ def _router(context):
     endpoint, third = free_endpoint(), len(context.frames) // 3
     config = zenoh_config(context.folder / "router.json5", mode="router", listen=[endpoint])
     client = zenoh_config(context.folder / "client.json5", mode="client", connect=[endpoint])
-    router = Process(ROUTER, config)
-    collector = Collector(client)
-    with open_session(client) as session, running(session) as runner:
+    with (
+        Process(ROUTER, config) as router,
+        Collector(client) as collector,
+        open_session(client) as session,
+        running(session) as runner,
+    ):
         wait_for(lambda: runner.publisher.wait_for_subscribers(0.0), "the subscriber")
-        send(context.frames[:third])
+        send(context.frames[:third], speed=2)
         taken(runner, third)
         first = runner.pipeline.counts["samples"]
         collector.settle(first)
         router.kill()
-        send(context.frames[third : 2 * third])
+        send(context.frames[third : 2 * third], speed=2)
         taken(runner, 2 * third)
-        router = Process(ROUTER, config)
-        wait_for(lambda: runner.publisher.wait_for_subscribers(0.0), "the subscriber to come back")
-        before = runner.pipeline.counts["samples"]
-        send(context.frames[2 * third :])
-        taken(runner, len(context.frames))
-        collector.settle(first + 1)
-        samples = collector.samples("rtcomp/yaw/rate", context.folder / "samples")
-    collector.kill()
-    router.kill()
+        with Process(ROUTER, config):
+            wait_for(lambda: runner.publisher.wait_for_subscribers(0.0), "the subscriber to come back")
+            before = runner.pipeline.counts["samples"]
+            send(context.frames[2 * third :], speed=2)
+            taken(runner, len(context.frames))
+            collector.settle(first + context.rates - before)
+            samples = collector.samples("rtcomp/yaw/rate", context.folder / "samples")
     return (
         {"samples": context.rates, "lost": 0, "before": True, "after": context.rates - before},
         chosen(runner, "samples", "lost")
@@ -323,5 +325,5 @@ def _again(context, state):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_vcan_fault(name, tmp_path, fog_frames, lag_model):
-    expected, got = SCENARIOS[name](Context(tmp_path, fog_frames(4.0), lag_model))
+    expected, got = SCENARIOS[name](Context(tmp_path, fog_frames, lag_model))
     assert got == expected

@@ -38,7 +38,7 @@ def network(tmp_path_factory):
     """A subscriber in another process, and the configuration of a session that reaches it."""
     folder, endpoint = tmp_path_factory.mktemp("zenoh"), free_endpoint()
     theirs = zenoh_config(folder / "theirs.json5", listen=[endpoint])
-    ours = zenoh_config(folder / "ours.json5", connect=[endpoint], patient=True)
+    ours = zenoh_config(folder / "ours.json5", connect=[endpoint])
     collector = Collector(theirs)
     yield collector, ours
     collector.kill()

@@ -64,7 +64,7 @@ def free_endpoint():
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def zenoh_config(path, mode="peer", connect=(), listen=(), patient=False):
+def zenoh_config(path, mode="peer", connect=(), listen=(), patient=True):
     """`patient` lets the publisher's thread wait for a slow network instead of dropping after a millisecond."""
     scouting = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
     ends = {"connect": {"endpoints": list(connect)}, "listen": {"endpoints": list(listen)}}
@@ -93,6 +93,12 @@ class Process:
         self.process.kill()
         with self.process:  # closes its pipes and waits for it
             pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.kill()
 
 
 class Collector(Process):
