@@ -30,6 +30,7 @@ class RunConfig(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     power_on: Literal["first-frame", "unknown"] | float = "first-frame"  # or UNIX seconds
     wait_subscriber_s: float | None = None
     allow_swap: bool = False
+    realtime: bool = False
 
 
 def load_config(path: str | Path) -> RunConfig:

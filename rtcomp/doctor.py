@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rtcomp.errors import RequestError, WorkError
+from rtcomp.realtime import PARTS, Part
 
 ARPHRD_CAN = "280"
 
@@ -27,16 +28,15 @@ def check_all(zenoh_config: str | None = None) -> list[Check]:
         check_socketcan(),
         check_interfaces(),
         check_vcan(),
-        check_priority(),
-        check_memory_lock(),
+        *(check_realtime(part) for part in PARTS),
         check_kernel(),
         check_kernels_cached(),
         check_zenoh(zenoh_config),
-        *(check_package(name, what) for name, what in PACKAGES.items()),
+        *(check_package(name, what) for name, what in OPTIONAL.items()),
     ]
 
 
-PACKAGES = {
+OPTIONAL = {
     "rerun": ("rtcomp view", "pip install rerun-sdk"),
     "msgpack": ("udp_multicast buses", "pip install msgpack"),
     "asammdf": ("mf4 logs", "pip install 'rtcomp[mf4]'"),
@@ -90,32 +90,13 @@ def check_vcan() -> Check:
     )
 
 
-def check_priority() -> Check:
-    """Whether this user may ask for real-time priority."""
+def check_realtime(part: Part) -> Check:
+    """Whether one part of `rtcomp run --realtime` is granted: asked for, and given back at once."""
     try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-        os.sched_setscheduler(0, *before)
-    except (AttributeError, OSError) as error:
-        return Check(
-            "real-time priority",
-            False,
-            str(error),
-            "sudo setcap cap_sys_nice+ep $(readlink -f $(which python3)), or rtprio in /etc/security/limits.conf",
-        )
-    return Check("real-time priority", True, "SCHED_FIFO granted")
-
-
-def check_memory_lock() -> Check:
-    """Whether all memory may be locked."""
-    import resource
-
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if soft == resource.RLIM_INFINITY or os.geteuid() == 0:
-        return Check("memory lock", True, "no limit")
-    return Check(
-        "memory lock", False, f"at most {soft >> 10} KiB", "memlock unlimited in /etc/security/limits.conf"
-    )
+        part.ask()()
+    except OSError as error:
+        return Check(part.name, False, f"not for --realtime: {error.strerror or error}", part.mend)
+    return Check(part.name, True, part.granted)
 
 
 def check_kernel() -> Check:

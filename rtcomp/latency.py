@@ -6,6 +6,9 @@ import numpy as np
 
 HIGHEST_NS = 60_000_000_000
 DIGITS = 3
+STAGES = ("receive", "correct", "publish", "total")
+"""From the kernel's time stamp to the hand-over of a batch, from there to corrected, from there to put out; and the
+whole way, from the kernel until it goes out. A subscriber may add `received` (`rtcomp.probe`)."""
 PERCENTILES = {"p50": 50.0, "p90": 90.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 

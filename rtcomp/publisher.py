@@ -6,30 +6,20 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rtcomp.batches import Batches
 from rtcomp.encodings import ENCODERS, MIME
 from rtcomp.frames import c_declaration, schema
-from rtcomp.latency import Stage
+from rtcomp.latency import STAGES, Stage
+from rtcomp.probe import LEAF, read_told
+from rtcomp.sample_queue import Batch, BatchQueue, SampleQueue
 
 log = logging.getLogger(__name__)
 
-ROOM = 1 << 16  # samples that may wait to be published
 HEALTH_S = 1.0
-STAGES = ("receive", "correct", "publish", "total")
-
-
-class Batch(NamedTuple):
-    """Samples on their way out, and when their frames were handed over and corrected [ns]."""
-
-    corrected: np.ndarray
-    channel: np.ndarray
-    t_received_ns: int
-    t_corrected_ns: int
 
 
 class Publisher:
@@ -48,24 +38,25 @@ class Publisher:
         encoding: str = "struct",
         lossless: bool = False,
         aliases: dict[str, str] | None = None,
+        queue: SampleQueue | None = None,
     ) -> None:
-        """`lossless` makes publishing wait for slow subscribers (logs); else they lose samples, by sequence number.
+        """What to publish with, where, and of which channels.
 
+        `lossless` makes publishing wait for slow subscribers (logs); else they lose samples, by sequence number.
         `aliases` names keys that carry a channel's rate instead of `<prefix>/<channel>/rate` (ROS 2, VSS).
+        `queue` is what the samples come through; one of its own if not given.
         """
         import zenoh
 
         self.session, self.prefix, self.names = session, prefix.strip("/"), names
-        self.lost = 0
         self.published = 0
         self.stages = {stage: Stage() for stage in STAGES}
         self.models: dict[str, Any] = dict.fromkeys(names)
         self.health: Callable[[str], dict[str, Any]] = lambda name: {}
         self._clock_ns, self._lossless = clock_ns, lossless
         self._encoding, self._encode, mime = encoding, ENCODERS[encoding], MIME[encoding]
-        self._queue: SimpleQueue[Batch | None] = SimpleQueue()
-        self._offered = 0
-        self._taken = 0
+        self.queue: SampleQueue = queue or BatchQueue()
+        self._lost = 0
         control = zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP
         self._rates = [
             session.declare_publisher(
@@ -89,6 +80,7 @@ class Publisher:
         )
         self._healths = [session.declare_publisher(self.key(name, "health")) for name in names]
         self._declared = [self._declare(name) for name in names]
+        self._received: dict[str, float] | None = None
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
 
     def key(self, name: str, leaf: str) -> str:
@@ -102,7 +94,13 @@ class Publisher:
             self.session.declare_queryable(key := self.key(name, leaf), partial(_reply, key, answer))
             for leaf, answer in answers.items()
         ]
-        return (*queryables, self.session.liveliness().declare_token(self.key(name, "alive")))
+        told = self.session.declare_subscriber(self.key(name, LEAF), self._hear)
+        return (*queryables, told, self.session.liveliness().declare_token(self.key(name, "alive")))
+
+    def _hear(self, message: Any) -> None:
+        """Another process says when it had the samples; the last word counts."""
+        told = read_told(message.payload.to_bytes())
+        self._received = told.latency_us if told else self._received
 
     def start(self) -> None:
         """Start the thread."""
@@ -123,18 +121,22 @@ class Publisher:
 
     def offer(self, corrected: np.ndarray, channel: np.ndarray, t_received_ns: int) -> None:
         """Queue samples (copied). When the queue is full they are lost and counted; a lossless one waits instead."""
-        while self._offered - self._taken + len(corrected) > ROOM:
+        t_corrected_ns = self._clock_ns()
+        while not self.queue.put(corrected, channel, t_received_ns, t_corrected_ns):
             if not self._lossless or not self._thread.is_alive():
-                self.lost += len(corrected)
+                self._lost += len(corrected)
                 return
             time.sleep(0.001)
-        self._offered += len(corrected)
-        self._queue.put(Batch(corrected.copy(), channel.copy(), t_received_ns, self._clock_ns()))
+
+    @property
+    def lost(self) -> int:
+        """Samples that the full queue had no room for."""
+        return self._lost + self.queue.lost
 
     def close(self) -> None:
         """Publish what is queued and the last health, then undeclare everything."""
         if self._thread.is_alive():
-            self._queue.put(None)
+            self.queue.end()
             self._thread.join()
         self._publish_health()
         self._batches.close()
@@ -144,13 +146,7 @@ class Publisher:
     def _run(self) -> None:
         due = time.monotonic() + HEALTH_S
         batch_due = 0.0
-        while True:
-            try:
-                batch = self._queue.get(timeout=max(0.0, min(due, batch_due) - time.monotonic()))
-            except Empty:
-                batch = Batch(np.zeros(0), np.zeros(0), 0, 0)
-            if batch is None:
-                return
+        while (batch := self.queue.take(max(0.0, min(due, batch_due) - time.monotonic()))) is not None:
             if len(batch.corrected):
                 self._publish(batch)
             batch_due = self._batches.flush(now := time.monotonic())
@@ -159,23 +155,23 @@ class Publisher:
                 due = time.monotonic() + HEALTH_S
 
     def _publish(self, batch: Batch) -> None:
+        """What is not needed for the samples to go out comes after they have."""
         corrected = batch.corrected
         for index, name in enumerate(self.names):
             mine = corrected if len(self.names) == 1 else corrected[batch.channel == index]
-            if not len(mine):
-                continue
-            now = self._clock_ns()
-            mine["t_pub_ns"] = now
-            put = self._rates[index].put
-            for payload in self._encode(mine, name):
-                put(payload)
-            self.stages["total"].add(now - mine["t_ns"])
-            self._batches.add(index, mine)
+            if len(mine):
+                mine["t_pub_ns"] = t_pub_ns = self._clock_ns()
+                put = self._rates[index].put
+                for payload in self._encode(mine, name):
+                    put(payload)
+                self.stages["total"].add(t_pub_ns - mine["t_ns"])
+                self._batches.add(index, mine)
+        t_out_ns = self._clock_ns()
         self.published += len(corrected)
-        self._taken += len(corrected)
         self.stages["receive"].add(batch.t_received_ns - corrected["t_ns"])
-        self.stages["correct"].add(np.array([batch.t_corrected_ns - batch.t_received_ns]))
-        self.stages["publish"].add(np.array([self._clock_ns() - batch.t_corrected_ns]))
+        self.stages["correct"].add(batch.t_corrected_ns - batch.t_received_ns)
+        self.stages["publish"].add(t_out_ns - batch.t_corrected_ns)
+        self.queue.done(len(corrected))
 
     def _publish_health(self) -> None:
         for name, publisher in zip(self.names, self._healths, strict=True):
@@ -183,7 +179,8 @@ class Publisher:
 
     def latency_us(self) -> dict[str, dict[str, float] | None]:
         """Percentiles per stage [µs]; call it in the publisher's thread or when that has ended."""
-        return {name: stage.summary_us() for name, stage in self.stages.items()}
+        told = {LEAF: self._received} if self._received else {}
+        return {name: stage.summary_us() for name, stage in self.stages.items()} | told
 
 
 def _reply(key: str, answer: Callable[[], Any], query: Any) -> None:

@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,15 +14,21 @@ from rtcomp.checkpoint import Checkpointer
 from rtcomp.config import RunConfig
 from rtcomp.errors import RequestError
 from rtcomp.frame_loop import FRAMES
-from rtcomp.frames import FRAME
+from rtcomp.frames import CORRECTED, FRAME
 from rtcomp.model import Model, model_document
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import CompiledMap, compile_map
 from rtcomp.publisher import Publisher
+from rtcomp.realtime import realtime
+from rtcomp.sample_queue import BatchQueue, SampleQueue, SampleRing
 from rtcomp.signal_map import load_map
+from rtcomp.sources.bus import is_socketcan, open_bus
 from rtcomp.sources.clock import SteadyClock
 from rtcomp.stacks import load_stacks, trusted_keys
 from rtcomp.swap import Swapper
+
+if TYPE_CHECKING:
+    from rtcomp.live import LiveLoop
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +54,22 @@ def warm_up(compiled_map: CompiledMap) -> None:
     list(Pipeline(compiled_map).process(np.zeros(1, FRAME)))
 
 
+def warm_up_live(compiled_map: CompiledMap) -> None:
+    """The same for the loop that takes frames from a socket: on a pair of them, for a moment."""
+    import socket
+
+    from rtcomp.live import LiveLoop
+    from rtcomp.sources.socketcan import SocketReceiver
+
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with here, there, contextlib.closing(SocketReceiver(here)) as receiver:
+        receiver.receive(0.0)
+        with contextlib.closing(SampleRing(1)) as ring:
+            receiver.receive(0.0, LiveLoop(Pipeline(compiled_map), ring))
+            ring.put(np.zeros(1, CORRECTED), np.zeros(1, np.uint8), 0, 0)
+            ring.take(0.0)
+
+
 class Runner:
     """Everything of one run, from the configuration to the summary.
 
@@ -69,7 +91,9 @@ class Runner:
         self._source: Any = None
         self.recorder: Any = None
         self._swap: dict[str, list[Model]] = {}
-        self.swapper = Swapper(self._load_stacks, self._swap.update, config.sensor, self._trust)
+        self.swapper = Swapper(self._load_stacks, self._swap_soon, config.sensor, self._trust)
+        self._live: LiveLoop | None = None
+        self._cpu_s = 0.0
         self._started = self._ended = time.monotonic()
         self._begun = False
         if isinstance(config.power_on, float):
@@ -83,7 +107,7 @@ class Runner:
         for warning in self.map.warnings:
             self.say(f"warning: {warning}")
         with saying_when_slow(self.say):
-            warm_up(self.map)
+            self._warm_up()
         self._open_source()
         try:
             if self.config.record:
@@ -104,10 +128,14 @@ class Runner:
             self._resources.close()
             raise
 
+    def _warm_up(self) -> None:
+        warm_up(self.map)
+        if self.config.bus is not None and is_socketcan(self.config.bus):
+            open_bus(self.config.bus).close()  # refused before half a minute is spent on it
+            warm_up_live(self.map)
+
     def _open_source(self) -> None:
         if self.config.bus is not None:
-            from rtcomp.sources.bus import open_bus
-
             self._source = self._resources.enter_context(
                 open_bus(self.config.bus, self.map.filters, self.clock)
             )
@@ -119,6 +147,17 @@ class Runner:
                 self._log, None
             )  # a log that cannot be read is refused before anything is opened
 
+    def _queue(self) -> SampleQueue:
+        """What samples wait in: on SocketCAN a ring that compiled code fills."""
+        if self.config.bus is None or not is_socketcan(self.config.bus):
+            return BatchQueue()
+        from rtcomp.live import LiveLoop
+
+        ring = SampleRing()
+        self._resources.callback(ring.close)
+        self._live = LiveLoop(self.pipeline, ring, each_batch=self.recorder is not None)
+        return ring
+
     def _publisher(self, session: Any) -> Publisher:
         publisher = Publisher(
             session,
@@ -128,6 +167,7 @@ class Runner:
             encoding=self.config.encoding,
             lossless=self.config.log is not None,
             aliases=self.config.keys,
+            queue=self._queue(),
         )
         publisher.health = self.health
         publisher.models = self._documents()
@@ -153,16 +193,18 @@ class Runner:
             f"{self.config.bus or self.config.log}: publishing {keys}"
             + ("" if self.config.log else "; stop with Ctrl-C")
         )
-        self._started = time.monotonic()
-        try:
-            for frames in self._frames():
-                self._take(frames)
-                if self.stopped.is_set():
-                    break
-        finally:
-            self._ended = time.monotonic()
+        with realtime(self.say) if self.config.realtime else contextlib.nullcontext():
+            self._started, cpu_s = time.monotonic(), time.thread_time()
+            try:
+                for frames in self._frames():
+                    self._take(frames)
+                    if self.stopped.is_set():
+                        break
+            finally:
+                self._ended, self._cpu_s = time.monotonic(), time.thread_time() - cpu_s
 
     def _frames(self) -> Iterator[np.ndarray]:
+        """Arrays of frames to be corrected; on SocketCAN, from the second on, compiled code does that itself."""
         if self._source is None:
             if self._first is not None:
                 yield self._first
@@ -170,9 +212,25 @@ class Runner:
             return
         deadline = time.monotonic() + self.config.seconds if self.config.seconds else float("inf")
         while not self.stopped.is_set() and (left := deadline - time.monotonic()) > 0.0:
+            if self._live is not None and self._begun:
+                self._take_live(self._live, min(RECEIVE_S, left))
+                continue
             frames = self._source.receive(min(RECEIVE_S, left))
             if len(frames):
                 yield frames
+
+    def _take_live(self, live: "LiveLoop", timeout_s: float) -> None:
+        before = self._frames_taken()
+        if self._swap:
+            self._swap_models()
+        frames = self._source.receive(timeout_s, live)
+        if self.recorder is not None and len(frames):
+            self.recorder.append(frames)
+        if self.checkpoint is not None and self._frames_taken() > before:
+            self.checkpoint.offer(self.pipeline, live.last_t_ns)
+
+    def _frames_taken(self) -> int:
+        return int(self.pipeline.loop.totals[FRAMES])
 
     def _take(self, frames: np.ndarray) -> None:
         received_ns = self.clock.now_ns()
@@ -198,6 +256,11 @@ class Runner:
 
     def _load_stacks(self) -> dict[str, list[Model]]:
         return load_stacks(self.config.model, self.map.channel_names, self.config.sensor, self._trust)
+
+    def _swap_soon(self, stacks: dict[str, list[Model]]) -> None:
+        self._swap.update(stacks)
+        if self._source is not None:
+            self._source.wake()
 
     def _swap_models(self) -> None:
         """Between two arrays of frames, so no sample sees half a model."""
@@ -229,7 +292,7 @@ class Runner:
         counts = self.pipeline.counts
         losses = {"receiver": self.pipeline.lost_frames, "queue": self.publisher.lost}
         return {
-            "frames": int(self.pipeline.loop.totals[FRAMES]),
+            "frames": self._frames_taken(),
             "samples": counts["samples"],
             "published": self.publisher.published,
             "ignored": counts["ignored"],
@@ -254,6 +317,7 @@ class Runner:
             "latency_us": (stages["total"] if live else None) or {"p50": None, "p99": None},
             "stages_us": stages if live else None,
             "seconds": self._ended - self._started,
+            "receive_cpu_s": self._cpu_s,
             "channels": {
                 n: int(s) for n, s in zip(self.map.channel_names, self.pipeline.loop.seq, strict=True)
             },

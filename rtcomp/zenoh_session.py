@@ -42,6 +42,9 @@ def _local_config(endpoint: str | None, listen: bool) -> Any:
     config = zenoh.Config()
     config.insert_json5("mode", '"peer"' if listen else '"client"')
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5(
+        "transport/link/tx/queue/size/data", "16"
+    )  # batches; two are lost on at the first hiccup
     config.insert_json5("listen/endpoints", f'["{endpoint}"]' if endpoint and listen else "[]")
     if endpoint and not listen:
         config.insert_json5("connect/endpoints", f'["{endpoint}"]')

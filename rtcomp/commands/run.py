@@ -62,6 +62,12 @@ import click
     is_flag=True,
     help="Take a new model put to <prefix>/<channel>/model/swap. (SIGHUP reads the model files again in any case.)",
 )
+@click.option(
+    "--realtime",
+    is_flag=True,
+    help="Ask for real-time priority, locked memory, a CPU and a quiet garbage collector; what is refused is said, "
+    "see `rtcomp doctor`.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document at the end.")
 def command(
     config_file: str | None,

@@ -19,6 +19,7 @@ from rtcomp.sources.libc import (
     CLOCK_MONOTONIC,
     CLOCK_REALTIME,
     clock_gettime,
+    getsockopt,
     last_error,
     poll,
     recvmmsg,
@@ -29,7 +30,8 @@ REMOTE, BRS, ESI = int(FrameFlag.REMOTE), int(FrameFlag.BITRATE_SWITCH), int(Fra
 NANO = 1_000_000_000
 LOW = 0xFFFFFFFF
 FRAME_WORDS = FRAME.itemsize // 8
-SOL_SOCKET, SCM_TIMESTAMPNS, SCM_TIMESTAMPING, SO_RXQ_OVFL = 1, 35, 37, 40
+SOL_SOCKET, SCM_TIMESTAMPNS, SCM_TIMESTAMPING, SO_RXQ_OVFL, SO_MEMINFO = 1, 35, 37, 40, 55
+MEMINFO_BYTES = 36  # nine 32-bit words (linux/sock_diag.h), the last of which counts drops
 POLLIN, MSG_DONTWAIT = 0x1, 0x40
 CLASSIC_SIZE, FD_SIZE = 16, 72
 EFF_FLAG, RTR_FLAG, ERR_FLAG, ID_BITS = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
@@ -41,8 +43,8 @@ HARDWARE_DRIFT = 5_000  # the adapter's clock may be slow by 1 part in this (200
 # the state at the front of the workspace, one word each
 (SOCKET_POLL, WAKE_POLL, CLOCK_SECONDS, CLOCK_NANOS, OFFSET, HOST_OFFSET, LAST_TIME, LAST_BATCH, DROPS,
  LOST, MALFORMED, ERROR_FRAMES, ERRNO, USED, STEP, HARDWARE_KNOWN, HARDWARE_OFFSET, HARDWARE_LAST,
- BATCH) = range(19)  # fmt: skip
-STATE_WORDS = 19
+ BATCH, MEMORY_SIZE, MEMORY) = range(21)  # fmt: skip
+STATE_WORDS = MEMORY + 5
 HEADER_WORDS, VECTOR_WORDS, RAW_WORDS, CONTROL_WORDS = 8, 2, 9, 16
 
 
@@ -100,6 +102,12 @@ def control_word(batch, slot):
 def _clock(words, address, which):
     clock_gettime(which, address + 8 * CLOCK_SECONDS)
     return int(words[CLOCK_SECONDS]) * NANO + int(words[CLOCK_NANOS])
+
+
+@hot_kernel
+def monotonic_ns(words, address):
+    """The monotonic clock now [ns]."""
+    return _clock(words, address, CLOCK_MONOTONIC)
 
 
 @hot_kernel
@@ -196,6 +204,17 @@ def _new_drops(words, counter):
 
 
 @hot_kernel
+def _silent_drops(words, address):
+    """What the socket has dropped since a frame last told: the count of a burst's end must not wait for the next."""
+    words[MEMORY_SIZE] = MEMINFO_BYTES
+    socket = int(words[SOCKET_POLL]) & LOW
+    failed = getsockopt(socket, SOL_SOCKET, SO_MEMINFO, address + 8 * MEMORY, address + 8 * MEMORY_SIZE)
+    if failed != 0 or int(words[MEMORY_SIZE]) & LOW != MEMINFO_BYTES:
+        return 0
+    return _new_drops(words, int(words[MEMORY + 4]) & LOW)
+
+
+@hot_kernel
 def _put_event(frames, row, time, can_id, payload):
     frames[row, 0] = time
     frames[row, 1] = can_id | EVENT_WORD
@@ -266,6 +285,11 @@ def receive_batch(words, address, frames, timeout_ms):
             count = 0
         words[USED] = count
     rows = take_batch(words, address, frames, count)
+    if rows == 0:
+        dropped = _silent_drops(words, address)
+        if dropped > 0:
+            _put_overflow(frames, 0, int(words[LAST_BATCH]), dropped)
+            rows = 1
     if int(words[ERRNO]) != 0 or int(words[WAKE_POLL]) >> 48:
         rows |= TROUBLE
     if int(words[ERROR_FRAMES]) > 0:

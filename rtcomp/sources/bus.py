@@ -93,6 +93,11 @@ def parse_spec(text: str) -> BusSpec:
     return BusSpec(interface, channel or None, {key: cast_from_string(value) for key, value in pairs}, text)
 
 
+def is_socketcan(text: str) -> bool:
+    """Whether a bus is received from in batches, by compiled code."""
+    return text.partition("?")[0].partition(":")[0] == "socketcan"
+
+
 def open_can(text: str, **options: Any) -> "can.BusABC":
     """Open a python-can bus by its spec. Raises RequestError where it cannot be had."""
     spec = parse_spec(text)
@@ -141,7 +146,7 @@ def open_bus(text: str, filters: Sequence[Filter] | None = None, clock: SteadyCl
             bus.set_filters([{"can_id": i, "can_mask": mask, "extended": ext} for i, mask, ext in filters])
         return bus
 
-    if parse_spec(text).interface != "socketcan":
+    if not is_socketcan(text):
         return PythonCanSource(opened(), text, clock)
     from rtcomp.sources.socketcan import SocketCanSource
 

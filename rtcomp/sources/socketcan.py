@@ -29,9 +29,8 @@ log = logging.getLogger(__name__)
 BATCH = 256  # frames of one system call
 RECEIVE_BUFFER = 8 << 20  # bytes; the default holds 30 ms of a full 1 Mbit/s bus
 REOPEN_S = 0.5  # pause between attempts to get an unplugged interface back
-SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_TIMESTAMPING, SO_RXQ_OVFL, SO_MEMINFO = 33, 35, 37, 40, 55
+SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_TIMESTAMPING, SO_RXQ_OVFL = 33, 35, 37, 40
 CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h
-MEMINFO = struct.Struct("=9I")  # linux/sock_diag.h: the last word counts drops
 TIMESTAMPING = 1 << 2 | 1 << 3 | 1 << 4 | 1 << 6  # receive in hardware and software, report both
 SIOCETHTOOL, ETHTOOL_GET_TS_INFO = 0x8946, 0x41
 HARDWARE_RECEIVE = 1 << 2
@@ -80,6 +79,14 @@ def configure_socket(
         sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, TIMESTAMPING)
 
 
+Taker = Callable[[Workspace, int], int]
+
+
+def take_once(space: Workspace, timeout_ms: int) -> int:
+    """Wait at most `timeout_ms` for one batch; what `receive_batch` returns."""
+    return receive_batch(space.words, space.address, space.frame_words, timeout_ms)
+
+
 class SocketReceiver:
     """Frames of one datagram socket that carries struct can_frame and canfd_frame, in batches.
 
@@ -92,7 +99,6 @@ class SocketReceiver:
         self.clock = clock or SteadyClock()
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._space = Workspace(batch, sock.fileno(), self._wake, self.clock)
-        self._has_memory_info = True
         self.error_seen = False  # whether the last batch holds error frames
 
     @property
@@ -101,22 +107,27 @@ class SocketReceiver:
         return int(self._space.words[kernels.LOST])
 
     @property
+    def last_t_ns(self) -> int:
+        """Time of the last frame taken, of any batch."""
+        return int(self._space.words[kernels.LAST_TIME])
+
+    @property
     def malformed(self) -> int:
         """Datagrams that were no CAN frame."""
         return int(self._space.words[kernels.MALFORMED])
 
-    def receive(self, timeout_s: float) -> NDArray[Any]:
-        """Wait at most `timeout_s` for frames; see `Source`. Raises OSError with what the socket reported."""
+    def receive(self, timeout_s: float, take: Taker = take_once) -> NDArray[Any]:
+        """Wait at most `timeout_s` for frames; see `Source`. Raises OSError with what the socket reported.
+
+        `take` is what is called on the workspace: `take_once`, or a loop of its kind that does more with each
+        batch before it returns; the frames given back are those of the last.
+        """
         space = self._space
-        result = receive_batch(space.words, space.address, space.frame_words, max(0, round(timeout_s * 1000)))
+        result = take(space, max(0, round(timeout_s * 1000)))
         self.error_seen = result & kernels.ERROR_SEEN != 0
-        rows = result & kernels.ROWS
         if result & kernels.TROUBLE:
             self._deal_with_trouble()
-        if rows == 0 and (dropped := self._silent_drops()):
-            space.frames[0:1] = events.overflow(self.clock.now_ns(), dropped)
-            rows = 1
-        return space.frames[:rows]
+        return space.frames[: result & kernels.ROWS]
 
     def _deal_with_trouble(self) -> None:
         words = self._space.words
@@ -125,21 +136,6 @@ class SocketReceiver:
         code = int(words[kernels.ERRNO])
         if code not in (0, errno.EAGAIN, errno.EINTR):
             raise OSError(code, os.strerror(code))
-
-    def _silent_drops(self) -> int:
-        if not self._has_memory_info:
-            return 0
-        try:
-            memory = self.sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, MEMINFO.size)
-        except OSError:
-            self._has_memory_info = False
-            return 0
-        words = self._space.words
-        counter = MEMINFO.unpack(memory)[-1]
-        dropped = (counter - int(words[kernels.DROPS])) & 0xFFFFFFFF
-        words[kernels.DROPS] = counter
-        words[kernels.LOST] += dropped
-        return dropped
 
     def wake(self) -> None:
         """Let a waiting `receive` return at once."""
@@ -202,15 +198,16 @@ class SocketCanSource:
         """Frames that the socket's buffer had no room for."""
         return self._lost_before + (self._receiver.lost if self._receiver else 0)
 
-    def receive(self, timeout_s: float) -> NDArray[Any]:
-        """Wait at most `timeout_s` for frames; see `Source`."""
+    def receive(self, timeout_s: float, take: Taker = take_once) -> NDArray[Any]:
+        """Wait at most `timeout_s` for frames; see `Source`, and `SocketReceiver.receive` for `take`."""
         if self._receiver is None:
             return self._reconnect(timeout_s)
+        before = self._receiver.last_t_ns
         try:
-            frames = self._receiver.receive(timeout_s)
+            frames = self._receiver.receive(timeout_s, take)
         except OSError as error:
             return self._interface_trouble(error, timeout_s)
-        if self._is_down and len(frames):
+        if self._is_down and self._receiver.last_t_ns != before:
             self._is_down = False
             log.warning("%s: is up again", self._name)
         if self._receiver.error_seen:

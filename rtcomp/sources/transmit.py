@@ -58,7 +58,9 @@ class _Errors:
         return {"p50": p50, "p99": p99, "max": round(self._largest_us, 1)}
 
 
-class _Sender(Protocol):
+class Sender(Protocol):
+    """Sends frames at absolute times."""
+
     def send(
         self, frames: NDArray[Any], deadlines: NDArray[np.int64], stop: threading.Event
     ) -> NDArray[np.int64]:
@@ -124,7 +126,7 @@ class _SocketSender:
         return sent_at[:done]
 
 
-def _sender_for(bus: "can.BusABC | socket.socket") -> _Sender:
+def sender_for(bus: "can.BusABC | socket.socket") -> Sender:
     """The fastest way to send on a bus."""
     if isinstance(bus, socket.socket):
         return _SocketSender(bus)
@@ -172,7 +174,7 @@ def replay(
     if not 0 <= speed < float("inf"):
         raise RequestError(f"speed {speed}: wanted a number above 0, or 0 for as fast as possible")
     stop = stop or threading.Event()
-    sender = _sender_for(bus)
+    sender = sender_for(bus)
     tally = _Tally(speed)
     for array in _ahead(frames):
         chosen = array if error_frames else array[array["flags"] & FrameFlag.ERROR == 0]
