@@ -9,7 +9,7 @@ from scipy import stats
 from training.diagnose.design import Domain, band_gram
 from training.diagnose.library import Parameters
 from training.diagnose.likelihood import inverse
-from training.diagnose.naming import Model, Part, part_columns
+from training.diagnose.naming import Model, Part, movable, part_columns
 from training.diagnose.spectrum import start, update
 from training.diagnose.work import FloatArray
 
@@ -77,8 +77,8 @@ def estimates(model: Model, domains: Sequence[Domain]) -> Estimates:
         names += [(i, j, name) for j, point in enumerate(part.points) for name, _ in part.group.linear(point)]
     for i, (part, where) in enumerate(zip(model.parts, model.slices(), strict=True)):
         for j, point in enumerate(part.points):
-            for name in part.group.continuous:
-                if name in point and np.isfinite(point[name]):
+            for name in movable(part.group, point):
+                if np.isfinite(point[name]):
                     names.append((i, j, name))
                     values.append(point[name])
                     derivatives.append(_derivative(part, j, name, model.fit.beta[where], domains))
@@ -113,7 +113,7 @@ def _freedom(white: list[FloatArray], covariance: FloatArray, domains: Sequence[
 def _derivative(
     part: Part, j: int, name: str, beta: FloatArray, domains: Sequence[Domain]
 ) -> list[FloatArray]:
-    delta = 0.0005 if name == "chirp_per_K" else STEP * part.points[j][name]
+    delta = 0.0005 if name == "chirp_per_K" else STEP * part.points[j][name] or STEP
     if name == "period_K":
         delta = 0.003 * part.points[j][name]
     sides = []

@@ -113,11 +113,15 @@ def residual_scan(library: Library, model: Model, null: Null) -> dict[str, Candi
     return scan(library, frame, fit, null)
 
 
+def movable(group: Group, point: Parameters) -> list[str]:
+    """The non-linear parameters of a point that can be moved: by a step, or by a ratio where they are not zero."""
+    return [n for n in group.continuous if n in point and (point[n] != 0.0 or n in ADDITIVE)]
+
+
 def refine(parts: list[Part], index: int, domains: Sequence[Domain], weights: FloatArray) -> list[Part]:
     """Improve the non-linear parameters of the last point of one part by a bounded simplex search."""
     part = parts[index]
-    names = [n for n in part.group.continuous if part.points[-1].get(n, 0.0) != 0.0 or n in ADDITIVE]
-    names = [n for n in names if n in part.points[-1]]
+    names = movable(part.group, part.points[-1])
     if not names:
         return parts
     others = [p for i, p in enumerate(parts) if i != index]

@@ -75,7 +75,8 @@ def where_of(waves: Sequence[FloatArray], works: Sequence[Work], driver: str) ->
     locals_ = []
     for wave, work in zip(waves, works, strict=True):
         width = 1.0 if work.points else max(60.0 / work.step_s, len(work) / 200.0)
-        local = np.sqrt(ndimage.uniform_filter1d(wave**2, max(1, int(width)), mode="nearest"))
+        power = ndimage.uniform_filter1d(wave**2, max(1, int(width)), mode="nearest")
+        local = np.sqrt(np.maximum(power, 0.0))  # a running sum leaves a little less than nothing
         locals_.append(local)
         level = max(level, float(np.quantile(local, 0.98)))
     segments = [_segments(local > ACTIVE * level, work) for local, work in zip(locals_, works, strict=True)]
