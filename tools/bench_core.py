@@ -139,7 +139,7 @@ class Peer:
 
 
 @hot_kernel
-def empty_call(c, s, ch, t_ns, rate):
+def empty_call(c, s, rows, ch, t_ns, rate):
     """A call with the arguments of `predict_error`."""
     return rate, ch
 
@@ -158,7 +158,7 @@ def measure(turns: int) -> dict[str, float]:
     few = [(int(f["can_id"]), int(f["t_ns"]) * 1e-9, f["data"][:8].tobytes()) for f in frames[:PEER_FRAMES]]
     scalar = Compensator([model], START_NS)
     scalar.temperature(START_NS, 20.0)
-    arguments = (scalar.compiled, scalar.state, FIRST, START_NS + 1, 12.5)
+    arguments = (scalar.compiled, scalar.state, scalar.rows, FIRST, START_NS + 1, 12.5)
 
     fresh = [Pipeline(compiled_map, {"yaw": [model]}, START_NS) for _ in range(turns + 2)]
 
