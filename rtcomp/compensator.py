@@ -10,7 +10,7 @@ from rtcomp.errors import RequestError
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
 from rtcomp.model import Model
-from rtcomp.step import new_rows, predict_error, sigma
+from rtcomp.step import predict_error, sigma
 from rtcomp.thermal import T_POWER_ON, forget, new_state, thermal_update
 
 FIRST = np.uint64(0)  # a compensator has one channel
@@ -34,7 +34,6 @@ class Compensator:
     def __init__(self, models: Sequence[Model], power_on_ns: int | None = None) -> None:
         self.compiled: Compiled = compile_models([models])
         self.state = new_state(self.compiled)
-        self.rows = new_rows()
         if power_on_ns is not None:
             self.state.times[0, T_POWER_ON] = power_on_ns
 
@@ -44,7 +43,7 @@ class Compensator:
 
     def correct(self, t_ns: int, rate_dps: float) -> tuple[float, Flag]:
         """The corrected rate [°/s] and the model's flags."""
-        error, flags = predict_error(self.compiled, self.state, self.rows, FIRST, t_ns, rate_dps)
+        error, flags = predict_error(self.compiled, self.state, FIRST, t_ns, rate_dps)
         return rate_dps - error, Flag(flags)
 
 
@@ -84,18 +83,27 @@ def predict(
     compensator = Compensator(stack, 0 if power_on_known and t_s is not None else None)
     error, std, flags = np.empty(rate.shape), np.empty(rate.shape), np.zeros(rate.shape, np.int64)
     predict_recording(
-        compensator.compiled, compensator.state, compensator.rows, t_s is None, t_ns, rate, temp, coil, error, std, flags
+        compensator.compiled,
+        compensator.state,
+        t_s is None,
+        t_ns,
+        rate,
+        temp,
+        coil,
+        error,
+        std,
+        flags,
     )
     return Prediction(error, std, flags)
 
 
 @hot_kernel
-def predict_recording(c, s, rows, independent, t_ns, rate, temp, coil, error, std, flags):
+def predict_recording(c, s, independent, t_ns, rate, temp, coil, error, std, flags):
     """Fill `error`, `std` and `flags` (n,) row by row."""
     for i in range(rate.shape[0]):
         if independent:
             forget(s, FIRST)
         if not np.isnan(temp[i]):
             thermal_update(c, s, FIRST, t_ns[i], temp[i], coil[i])
-        error[i], flags[i] = predict_error(c, s, rows, FIRST, t_ns[i], rate[i])
+        error[i], flags[i] = predict_error(c, s, FIRST, t_ns[i], rate[i])
         std[i] = sigma(c, s, FIRST, rate[i])

@@ -142,5 +142,3 @@ def take_slow(plan, c, s, loop, ch, role, t_ns, value):
         thermal_update(c, s, ch, t_ns, value, loop.values[ch, COIL])
     elif role == COIL:
         s.values[ch, LAST_COIL] = value
-
-

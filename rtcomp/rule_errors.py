@@ -1,12 +1,12 @@
-"""The Takagi-Sugeno rules over a block of rates: PAPER eqs. 2, 9-11.
+"""The Takagi-Sugeno rules, PAPER eqs. 2, 9-11: for one rate, and for a block of rates with the same bits.
 
-Of the inputs only the rate changes from row to row; what the others give a rule is worked out once for the block. The
-loops over rows then hold arithmetic alone, which the compiler turns into vector instructions.
+Of the inputs only the rate changes within a block. What the others give a rule is worked out once, and the loop over
+rates then holds arithmetic alone, which the compiler turns into vector instructions.
 """
 
 import numpy as np
 
-from rtcomp.compiled import COIL, LAG_TEMP, RATE, TEMP, TEMP_RATE, TIME
+from rtcomp.compiled import COIL, LAG_TEMP, TEMP, TEMP_RATE, TIME
 from rtcomp.exponential import exp_falling
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
@@ -17,76 +17,49 @@ EXTRAPOLATING = int(Flag.EXTRAPOLATING)
 
 
 @hot_kernel
-def rules_error(c, s, rows, ch, g, warm, count):
-    """Add the TS output of group g to the first `count` rows; `warm` is the temperature inside its validity."""
-    start, stop = c.rule_start[g], c.rule_start[g + ONE]
-    if start == stop:
-        return
-    for i in range(c.group_size[g]):
-        if c.group_inputs[g, i] == TIME:  # a second input that changes: each row is a block of its own
-            for k in range(count):
-                block_error(c, s, rows, ch, g, warm, max(rows.t_s[k], 0.0), k, k + 1)
-            return
-    block_error(c, s, rows, ch, g, warm, 0.0, 0, count)
+def rules_error(c, s, ch, g, warm, rate, t_s):
+    """TS output of group g at a temperature and a rate inside their validity; 0 without rules."""
+    if c.rule_start[g] == c.rule_start[g + ONE]:
+        return 0.0
+    weights, weighted = sums(c, s, ch, g, warm, rate, t_s, 0.0)
+    if weights < UNDERFLOW:
+        weights, weighted = nearest_sums(c, s, ch, g, warm, rate, t_s)
+    return weighted / weights
 
 
 @hot_kernel
-def block_error(c, s, rows, ch, g, warm, t_s, first, last):
-    """The same for rows `first` to `last`, which have all inputs but the rate in common."""
-    flags = take_inputs(c, s, rows, ch, g, warm, t_s)
-    rate, weights, weighted = rows.inside[first:last], rows.weights[first:last], rows.weighted[first:last]
-    weights[:] = 0.0
-    weighted[:] = 0.0
+def sums(c, s, ch, g, warm, rate, t_s, shift):
+    """Σw and Σw·g, every w times exp(−shift)."""
+    weights, weighted = 0.0, 0.0
     for j in range(c.rule_start[g], c.rule_start[g + ONE]):
-        add_rule(cut_along_rate(c, rows, g, j), rate, weights, weighted)
-    far = 0
-    for k in range(len(rate)):
-        far |= 1 if weights[k] < UNDERFLOW else 0
-    if far:
-        for k in range(len(rate)):
-            if weights[k] < UNDERFLOW:
-                weights[k], weighted[k] = nearest_rules(c, rows, g, rate[k])
-    error, bits = rows.error[first:last], rows.flags[first:last]
-    for k in range(len(rate)):
-        error[k] += weighted[k] / weights[k]
-        bits[k] |= flags
+        rule = cut_along_rate(c, s, ch, g, j, warm, t_s)
+        firing = exp_falling(exponent(rule, rate) - shift)
+        weights += firing
+        weighted += firing * (rule[3] + rule[4] * rate)
+    return weights, weighted
 
 
 @hot_kernel
-def take_inputs(c, s, rows, ch, g, warm, t_s):
-    """Set the inputs other than the rate, inside their validity; returns the flags of having clipped one."""
-    flags = 0
-    for i in range(c.group_size[g]):
-        which = c.group_inputs[g, i]
-        if which == RATE or which == TEMP:  # clipped and flagged with the group
-            rows.inputs[i] = warm
-            continue
-        value = t_s
-        if which == COIL:
-            value = s.values[ch, LAST_COIL]
-        elif which == TEMP_RATE:
-            value = s.filters[g, 0, 1]
-        elif which == LAG_TEMP:
-            value = s.filters[g, 1, 1]
-        rows.inputs[i] = clip(value, c.validity[g, which, 0], c.validity[g, which, 1])
-        if rows.inputs[i] != value:
-            flags = EXTRAPOLATING
-    return flags
+def nearest_sums(c, s, ch, g, warm, rate, t_s):
+    """The sums far from every rule: with the largest exponent taken out the nearest one answers."""
+    largest = -np.inf
+    for j in range(c.rule_start[g], c.rule_start[g + ONE]):
+        largest = max(largest, exponent(cut_along_rate(c, s, ch, g, j, warm, t_s), rate))
+    return sums(c, s, ch, g, warm, rate, t_s, largest)
 
 
 @hot_kernel
-def cut_along_rate(c, rows, g, j):
-    """Rule j as a function of the rate alone: ½Σz² of the other inputs; centre and 1/σ; output at rate 0, and slope."""
+def cut_along_rate(c, s, ch, g, j, warm, t_s):
+    """Rule j as a function of the rate: ½Σz² of the other inputs; centre and 1/σ; output at rate 0, and its slope."""
     square, output = 0.0, c.consequents[j, 0]
-    center, inverse_width, slope = 0.0, 0.0, 0.0
-    for i in range(c.group_size[g]):
-        if c.group_inputs[g, i] == RATE:
-            center, inverse_width, slope = c.centers[j, i], c.inverse_widths[j, i], c.consequents[j, i + 1]
-        else:
-            z = (rows.inputs[i] - c.centers[j, i]) * c.inverse_widths[j, i]
-            square += z * z
-            output += c.consequents[j, i + 1] * rows.inputs[i]
-    return 0.5 * square, center, inverse_width, output, slope
+    for i in range(1, c.group_size[g]):
+        x = warm
+        if c.group_inputs[g, i] != TEMP:
+            x = clipped_input(c, s, ch, g, i, t_s)
+        z = (x - c.centers[j, i]) * c.inverse_widths[j, i]
+        square += z * z
+        output += c.consequents[j, i + 1] * x
+    return 0.5 * square, c.centers[j, 0], c.inverse_widths[j, 0], output, c.consequents[j, 1]
 
 
 @hot_kernel
@@ -97,24 +70,70 @@ def exponent(rule, rate):
 
 
 @hot_kernel
+def other_input(c, s, ch, g, i, t_s):
+    """Input i of group g as it is, neither temperature nor rate."""
+    which = c.group_inputs[g, i]
+    if which == COIL:
+        return s.values[ch, LAST_COIL]
+    if which == TEMP_RATE:
+        return s.filters[g, 0, 1]
+    if which == LAG_TEMP:
+        return s.filters[g, 1, 1]
+    return t_s
+
+
+@hot_kernel
+def clipped_input(c, s, ch, g, i, t_s):
+    """The same inside its validity."""
+    which = np.uint64(c.group_inputs[g, i])
+    return clip(other_input(c, s, ch, g, i, t_s), c.validity[g, which, 0], c.validity[g, which, 1])
+
+
+@hot_kernel
+def input_flags(c, s, ch, g, t_s):
+    """Whether one of the other inputs has to be clipped."""
+    for i in range(1, c.group_size[g]):
+        if c.group_inputs[g, i] != TEMP:
+            value = other_input(c, s, ch, g, i, t_s)
+            if clipped_input(c, s, ch, g, i, t_s) != value:
+                return EXTRAPOLATING
+    return 0
+
+
+@hot_kernel
+def takes_time(c, g):
+    """Whether an input besides the rate changes from row to row."""
+    found = False
+    for i in range(1, c.group_size[g]):
+        found = found or c.group_inputs[g, i] == TIME
+    return found
+
+
+@hot_kernel
+def block_error(c, s, rows, ch, g, warm, count):
+    """Add the output of group g to the first `count` rows; its rules must not take the time."""
+    if c.rule_start[g] == c.rule_start[g + ONE]:
+        return
+    rate, weights, weighted = rows.inside[:count], rows.weights[:count], rows.weighted[:count]
+    weights[:] = 0.0
+    weighted[:] = 0.0
+    for j in range(c.rule_start[g], c.rule_start[g + ONE]):
+        add_rule(cut_along_rate(c, s, ch, g, j, warm, 0.0), rate, weights, weighted)
+    far = 0
+    for k in range(count):
+        far |= 1 if weights[k] < UNDERFLOW else 0
+    if far:
+        for k in range(count):
+            if weights[k] < UNDERFLOW:
+                weights[k], weighted[k] = nearest_sums(c, s, ch, g, warm, rate[k], 0.0)
+    for k in range(count):
+        rows.error[k] += weighted[k] / weights[k]
+
+
+@hot_kernel
 def add_rule(rule, rate, weights, weighted):
     """Add w and w·g of one rule to each row's sums."""
     for k in range(len(rate)):
         firing = exp_falling(exponent(rule, rate[k]))
         weights[k] += firing
         weighted[k] += firing * (rule[3] + rule[4] * rate[k])
-
-
-@hot_kernel
-def nearest_rules(c, rows, g, rate):
-    """Σw and Σw·g far from every rule: with the largest exponent taken out the nearest one answers."""
-    largest = -np.inf
-    for j in range(c.rule_start[g], c.rule_start[g + ONE]):
-        largest = max(largest, exponent(cut_along_rate(c, rows, g, j), rate))
-    weights, weighted = 0.0, 0.0
-    for j in range(c.rule_start[g], c.rule_start[g + ONE]):
-        rule = cut_along_rate(c, rows, g, j)
-        firing = exp_falling(exponent(rule, rate) - largest)
-        weights += firing
-        weighted += firing * (rule[3] + rule[4] * rate)
-    return weights, weighted

@@ -13,13 +13,13 @@ import numpy as np
 from rtcomp.compiled import NO_BASE, RATE, SINE, TEMP
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
-from rtcomp.model import MAX_INPUTS
-from rtcomp.rule_errors import EXTRAPOLATING, rules_error
+from rtcomp.rule_errors import EXTRAPOLATING, block_error, input_flags, rules_error, takes_time
 from rtcomp.term_errors import term_error
 from rtcomp.terms import BIAS_PLAY, SCALE_PLAY
 from rtcomp.thermal import HIGHEST, LAST_COIL, LAST_TEMP, LOWEST, NEVER, ONE, SETTLED_AT, T_POWER_ON, clip
 
 BLOCK = 256  # rows that stay in the first cache
+FEW = 2  # a block of one is quicker by itself
 DEG = math.pi / 180.0
 UNSETTLED, MISSING = int(Flag.UNSETTLED), int(Flag.TEMPERATURE_MISSING)
 
@@ -35,7 +35,6 @@ class Rows(NamedTuple):
     inside: np.ndarray  # float64 (BLOCK): the rate inside the validity of a group; then the true rate, about
     weights: np.ndarray  # float64 (BLOCK): Σw of the rules
     weighted: np.ndarray  # float64 (BLOCK): Σw·g
-    inputs: np.ndarray  # float64 (MAX_INPUTS): of a group's rules, but for the rate
     row: np.ndarray  # uint64 (BLOCK): where a sample waits for the answer
 
 
@@ -44,52 +43,88 @@ def new_rows() -> Rows:
     size, real = BLOCK, np.float64
     times, flags = np.zeros(size, np.int64), np.zeros(size, np.int64)
     columns = [np.zeros(size, real) for _ in range(6)]
-    return Rows(times, columns[0], columns[1], flags, *columns[2:], np.zeros(MAX_INPUTS), np.zeros(size, np.uint64))
+    return Rows(times, columns[0], columns[1], flags, *columns[2:], np.zeros(size, np.uint64))
 
 
 @hot_kernel
-def predict_error(c, s, rows, ch, t_ns, rate):
-    """Predicted error [°/s] of one measured rate [°/s], and the flag bits that the model adds."""
-    rows.t_ns[0], rows.rate[0] = t_ns, rate
-    predict_rows(c, s, rows, ch, 1)
-    return rows.error[0], rows.flags[0]
+def predict_error(c, s, ch, t_ns, rate):
+    """Predicted error [°/s] of a measured rate [°/s], and the flag bits that the model adds."""
+    if is_blind(c, s, ch):
+        return 0.0, MISSING
+    t_s = since_power_on(s, ch, t_ns)
+    flags, total = play_flags(c, s, ch) | unsettled(c, s, ch, t_ns, t_s), 0.0
+    for g in range(c.group_start[ch], c.group_start[ch + ONE]):
+        warm, outside = clipped_temperature(c, s, ch, g)
+        inside = clip(rate, c.validity[g, RATE, 0], c.validity[g, RATE, 1])
+        flags |= outside | (EXTRAPOLATING if inside != rate else 0)
+        if c.base_kind[g] != NO_BASE:
+            total += base_error(c, g, warm, inside)
+        total += rules_error(c, s, ch, g, warm, inside, max(t_s, 0.0))
+        flags |= input_flags(c, s, ch, g, max(t_s, 0.0))
+    w = rate - total  # the best estimate of the true rate
+    for j in range(c.term_start[ch], c.term_start[ch + ONE]):
+        total += term_error(c, s, ch, j, rate, w, t_s)
+    return total, flags
 
 
 @hot_kernel
 def predict_rows(c, s, rows, ch, count):
-    """Predicted errors [°/s] and the model's flags of the first `count` rows, all of channel `ch`."""
-    blind = (c.needs[ch, 0] and math.isnan(s.values[ch, LAST_TEMP])) or (
-        c.needs[ch, 1] and math.isnan(s.values[ch, LAST_COIL])
-    )
-    start_rows(c, s, rows, ch, MISSING if blind else play_flags(c, s, ch), count)
-    if blind:
-        return
+    """The same for the first `count` rows, all of channel `ch`."""
+    timed = False
     for g in range(c.group_start[ch], c.group_start[ch + ONE]):
-        warm = enter_validity(c, s, rows, ch, g, count)
+        timed = timed or takes_time(c, g)
+    if count < FEW or timed or is_blind(c, s, ch):
+        for k in range(count):
+            rows.error[k], rows.flags[k] = predict_error(c, s, ch, rows.t_ns[k], rows.rate[k])
+    else:
+        predict_block(c, s, rows, ch, count)
+
+
+@hot_kernel
+def predict_block(c, s, rows, ch, count):
+    """`predict_error` step by step, each step for all rows."""
+    always = play_flags(c, s, ch)
+    for k in range(count):
+        rows.t_s[k] = since_power_on(s, ch, rows.t_ns[k])
+        rows.error[k] = 0.0
+        rows.flags[k] = always | unsettled(c, s, ch, rows.t_ns[k], rows.t_s[k])
+    for g in range(c.group_start[ch], c.group_start[ch + ONE]):
+        warm, outside = clipped_temperature(c, s, ch, g)
+        outside |= input_flags(c, s, ch, g, 0.0)
+        low, high = c.validity[g, RATE, 0], c.validity[g, RATE, 1]
+        for k in range(count):
+            rows.inside[k] = clip(rows.rate[k], low, high)
+            rows.flags[k] |= outside | (EXTRAPOLATING if rows.inside[k] != rows.rate[k] else 0)
         if c.base_kind[g] != NO_BASE:
             for k in range(count):
                 rows.error[k] += base_error(c, g, warm, rows.inside[k])
-        rules_error(c, s, rows, ch, g, warm, count)
+        block_error(c, s, rows, ch, g, warm, count)
     for k in range(count):
-        rows.inside[k] = rows.rate[k] - rows.error[k]  # the best estimate of the true rate
+        rows.inside[k] = rows.rate[k] - rows.error[k]
     for j in range(c.term_start[ch], c.term_start[ch + ONE]):
         for k in range(count):
             rows.error[k] += term_error(c, s, ch, j, rows.rate[k], rows.inside[k], rows.t_s[k])
 
 
 @hot_kernel
-def start_rows(c, s, rows, ch, flags, count):
-    """No error yet, the time since power-on, and flags that hold whatever the rate."""
-    power_on, settled = s.times[ch, T_POWER_ON], s.times[ch, SETTLED_AT]
-    known, needed = power_on != NEVER, c.needs[ch, 2] != 0
-    for k in range(count):
-        t_ns = rows.t_ns[k]
-        timed = known and t_ns >= power_on
-        rows.t_s[k] = (t_ns - power_on) * 1e-9 if timed else -1.0
-        rows.error[k] = 0.0
-        rows.flags[k] = flags
-        if flags != MISSING and (t_ns < settled or (needed and not timed)):
-            rows.flags[k] |= UNSETTLED
+def is_blind(c, s, ch):
+    """Whether a temperature that the models need has never come."""
+    return (c.needs[ch, 0] and math.isnan(s.values[ch, LAST_TEMP])) or (
+        c.needs[ch, 1] and math.isnan(s.values[ch, LAST_COIL])
+    )
+
+
+@hot_kernel
+def since_power_on(s, ch, t_ns):
+    """Time since power-on [s], −1 where that is not known."""
+    power_on = s.times[ch, T_POWER_ON]
+    return (t_ns - power_on) * 1e-9 if power_on != NEVER and t_ns >= power_on else -1.0
+
+
+@hot_kernel
+def unsettled(c, s, ch, t_ns, t_s):
+    """Whether an unknown past still matters."""
+    return UNSETTLED if t_ns < s.times[ch, SETTLED_AT] or (c.needs[ch, 2] and t_s < 0.0) else 0
 
 
 @hot_kernel
@@ -103,16 +138,11 @@ def play_flags(c, s, ch):
 
 
 @hot_kernel
-def enter_validity(c, s, rows, ch, g, count):
-    """Clip the rates into the validity of group g, flagged; returns the temperature, clipped likewise."""
+def clipped_temperature(c, s, ch, g):
+    """The last temperature inside the validity of group g, and whether it had to be clipped."""
     temp = s.values[ch, LAST_TEMP]
     warm = clip(temp, c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
-    outside = EXTRAPOLATING if warm != temp and c.needs[ch, 0] else 0
-    low, high = c.validity[g, RATE, 0], c.validity[g, RATE, 1]
-    for k in range(count):
-        rows.inside[k] = clip(rows.rate[k], low, high)
-        rows.flags[k] |= EXTRAPOLATING if rows.inside[k] != rows.rate[k] else outside
-    return warm
+    return warm, (EXTRAPOLATING if warm != temp and c.needs[ch, 0] else 0)
 
 
 @hot_kernel

@@ -32,10 +32,10 @@ from rtcomp.thermal import LAST_TEMP, clip
 
 
 @hot_kernel
-def term_error(c, s, ch, j, rate, w, t):
-    """Error [°/s] of term j: measured rate, true rate as well as known [°/s], time since power-on [s] (below 0: unknown).
+def term_error(c, s, ch, j, rate, w, t_s):
+    """Error [°/s] of term j from the measured rate and the true rate w, about [°/s], and the time since power-on t_s.
 
-    `s.terms[j, 0]` is the term's thermal column.
+    `s.terms[j, 0]` is the term's thermal column; a time below 0 is not known.
     """
     kind, p0, column = c.term_kind[j], c.term[j, 0], s.terms[j, 0]
     if kind == LAG:
@@ -49,7 +49,7 @@ def term_error(c, s, ch, j, rate, w, t):
     if kind in (BIAS_T, SCALE_T, RIPPLE, SAWTOOTH, CUBIC):
         return static_error(c, s, ch, j, w)
     if kind == EMPIRICAL:
-        return empirical_error(c, s, ch, j, rate, w, t)
+        return empirical_error(c, s, ch, j, rate, w, t_s)
     if kind == ASYMMETRY:
         return p0 * abs(w)
     if kind == SCALE:
@@ -58,20 +58,20 @@ def term_error(c, s, ch, j, rate, w, t):
         return p0
     if kind == UNIT:
         return rate * (1.0 - 1.0 / p0)
-    return timed_error(c, j, w, t) if t >= 0.0 else 0.0
+    return timed_error(c, j, w, t_s) if t_s >= 0.0 else 0.0
 
 
 @hot_kernel
-def timed_error(c, j, w, t):
+def timed_error(c, j, w, t_s):
     """Terms in time since power-on."""
     kind, p0 = c.term_kind[j], c.term[j, 0]
     if kind == BIAS_WARMUP:
-        return p0 * exp_falling(-t / c.term[j, 1])
+        return p0 * exp_falling(-t_s / c.term[j, 1])
     if kind == SCALE_WARMUP:
-        return w * p0 * exp_falling(-t / c.term[j, 1])
+        return w * p0 * exp_falling(-t_s / c.term[j, 1])
     if kind == AGEING:
-        return w * p0 * t
-    return p0 * t  # DRIFT
+        return w * p0 * t_s
+    return p0 * t_s  # DRIFT
 
 
 @hot_kernel
@@ -100,7 +100,7 @@ def static_error(c, s, ch, j, w):
 
 
 @hot_kernel
-def empirical_error(c, s, ch, j, rate, w, t):
+def empirical_error(c, s, ch, j, rate, w, t_s):
     """Piecewise linear in one driver, held outside its knots."""
     driver, offset, count = int(c.term[j, 0]), int(c.term[j, 1]), int(c.term[j, 2])
     if driver == 0:
@@ -109,8 +109,8 @@ def empirical_error(c, s, ch, j, rate, w, t):
         value = s.terms[j, 0]
     elif driver == 2:
         value = rate
-    elif t >= 0.0:
-        value = t
+    elif t_s >= 0.0:
+        value = t_s
     else:
         return 0.0
     knots, values = c.table[offset : offset + count], c.table[offset + count : offset + 2 * count]

@@ -137,5 +137,3 @@ def shupe_column(p, x, t0, t1, dt, first):
     x[2] = low_pass(x[2], before, after, dt, p[0])
     filtered = (after - x[2]) / p[0]
     x[0] = p[1] * filtered + p[2] * (slope - filtered) / p[0]
-
-
