@@ -17,7 +17,9 @@ def fill(x, out):
 
 def arguments():
     random = np.random.default_rng(0)
-    spread = -np.concatenate([random.exponential(20.0, 4000), random.uniform(0, 1, 4000), 10.0 ** -np.arange(300)])
+    spread = -np.concatenate(
+        [random.exponential(20.0, 4000), random.uniform(0, 1, 4000), 10.0 ** -np.arange(300)]
+    )
     return np.concatenate([spread[spread >= LOWEST], [0.0, -math.log(2) / 2, LOWEST]])
 
 

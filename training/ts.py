@@ -134,12 +134,16 @@ def recursive_consequents(
     """RLS over all rows in order, a chunk of φ at a time; θ and the residual standard deviation [°/s]."""
     c, k = antecedents.centers.shape
     estimator = RecursiveLeastSquares(c * (k + options.offset), options.rls_start)
+    phi = np.empty((0, estimator.size))
     chunks = [slice(first, first + CHUNK) for first in range(0, len(inputs), CHUNK)]
     for rows in chunks:
-        estimator.update(_phi(inputs[rows], scaling, antecedents, options.offset), error[rows])
+        phi = _phi(inputs[rows], scaling, antecedents, options.offset)
+        estimator.update(phi, error[rows])
     square = 0.0
     for rows in chunks:
-        left = error[rows] - _phi(inputs[rows], scaling, antecedents, options.offset) @ estimator.theta
+        if len(chunks) > 1:  # more than one was too much to keep
+            phi = _phi(inputs[rows], scaling, antecedents, options.offset)
+        left = error[rows] - phi @ estimator.theta
         square += float(left @ left)
     return estimator.theta, float(np.sqrt(square / max(len(inputs) - estimator.size, 1)))
 
