@@ -42,7 +42,7 @@ for _ in range(5):
     bare.append(time.process_time() - begin)
     with contextlib.redirect_stdout(io.StringIO()):
         begin = time.process_time()
-        pyFUME(dataframe=frame, nr_clus=4, cluster_method="gk", method="Takagi-Sugeno", data_split_method="no_split")
+        pyFUME(dataframe=frame, nr_clus=4, cluster_method="gk", method="Takagi-Sugeno", percentage_training=1.0)
         whole.append(time.process_time() - begin)
 print(json.dumps([sorted(bare)[2], sorted(whole)[2]]))
 """

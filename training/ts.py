@@ -177,13 +177,18 @@ def choose_rules(
     """
     fold = fold_of_groups(groups, folds, options.clustering.seed)
     scores: dict[int, tuple[float, float]] = {}
+    refused: dict[int, RequestError] = {}
     for count in candidates:
-        squares = _held_out_squares(inputs, error_dps, fold, names, replace(options, rules=count))
-        if squares is not None:
-            mean = squares.mean()
-            scores[count] = (float(mean), float(squares.std(ddof=1) / np.sqrt(len(squares))))
+        try:
+            squares = _held_out_squares(inputs, error_dps, fold, names, replace(options, rules=count))
+        except RequestError as reason:
+            log.info("%d rules: %s", count, reason)
+            refused[count] = reason
+            continue
+        scores[count] = (float(squares.mean()), float(squares.std(ddof=1) / np.sqrt(len(squares))))
     if not scores:
-        raise RequestError(f"no number of rules of {list(candidates)} can be held out: record more points")
+        fewest = min(refused)
+        raise RequestError(f"not even {fewest} rule{'s' if fewest > 1 else ''} can be fitted to a part of the recording: {refused[fewest]}")
     best = min(scores, key=lambda count: scores[count][0])
     limit = sum(scores[best])
     chosen = min(count for count in scores if scores[count][0] <= limit)
@@ -202,16 +207,12 @@ def fold_of_groups(groups: np.ndarray, folds: int, seed: int) -> np.ndarray:
 
 def _held_out_squares(
     inputs: np.ndarray, error: np.ndarray, fold: np.ndarray, names: Sequence[str], options: TsOptions
-) -> np.ndarray | None:
-    """Mean squared held-out error per fold; None when a fold cannot be fitted with that many rules."""
+) -> np.ndarray:
+    """Mean squared held-out error per fold; RequestError when a fold cannot be fitted with that many rules."""
     squares = []
     for left_out in np.unique(fold):
         train = fold != left_out
-        try:
-            found = fit(inputs[train], error[train], names, options)
-        except RequestError as reason:
-            log.info("%d rules: %s", options.rules, reason)
-            return None
+        found = fit(inputs[train], error[train], names, options)
         left = error[~train] - rules_output(found.rules, inputs[~train])
         squares.append(np.mean(left**2))
     return np.array(squares)
