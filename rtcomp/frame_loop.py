@@ -37,30 +37,43 @@ FULL = np.uint64(BLOCK)
 def run_loop(plan, c, s, loop, rows, frames, words, start, out):
     """Take frames from `start` on until all are taken or `out` could overflow.
 
+    Samples wait to be corrected until a message comes that may change a thermal state, or their block is full.
     Returns the index of the first frame not taken and the number of samples written to `out`.
     """
     written = np.uint64(0)
     out.waiting[0] = written
     room = np.uint64(out.corrected.shape[0] - plan.channels.shape[0])
     i, stop = np.uint64(start), np.uint64(frames.shape[0])
-    while i < stop and written <= room:
-        written = take_frame(plan, c, s, loop, rows, frames, words, i, out, written)
-        if written - out.waiting[0] >= FULL:
+    while True:
+        done = i >= stop or written > room
+        found = (
+            IGNORED if done else find_message(plan, frames[i]["can_id"], (frames[i]["flags"] & EXTENDED) != 0)
+        )
+        if done or brings_temperature(plan, found) or written - out.waiting[0] >= FULL:
             correct_waiting(c, s, loop, rows, out, written)
+        if done:
+            return np.int64(i), np.int64(written)
+        written = take_frame(plan, c, s, loop, frames, words, i, found, out, written)
         i += ONE
-    correct_waiting(c, s, loop, rows, out, written)
-    return np.int64(i), np.int64(written)
 
 
 @hot_kernel
-def take_frame(plan, c, s, loop, rows, frames, words, i, out, written):
-    """One frame; returns how many samples are in `out` after it."""
-    flags = frames[i]["flags"]
-    if flags & ERROR:
+def brings_temperature(plan, found):
+    """Whether the message changes a thermal state: its first use is not of a rate or a reference."""
+    if found < 0:
+        return False
+    m = np.uint64(found)
+    first = plan.messages[m]["first_use"]
+    return first < plan.messages[m]["last_use"] and plan.uses[first]["role"] < REFERENCE
+
+
+@hot_kernel
+def take_frame(plan, c, s, loop, frames, words, i, found, out, written):
+    """One frame of the message `found`; returns how many samples are in `out` after it."""
+    if frames[i]["flags"] & ERROR:
         take_error_frame(loop, frames, i)
         return written
     loop.totals[FRAMES] += 1
-    found = find_message(plan, frames[i]["can_id"], (flags & EXTENDED) != 0)
     if found == IGNORED:
         loop.totals[IGNORED_FRAMES] += 1
         return written
@@ -70,7 +83,7 @@ def take_frame(plan, c, s, loop, rows, frames, words, i, out, written):
         loop.rejected[cause] += 1
         mark_message(plan, loop, m, BAD_BEFORE)
         return written
-    return take_message(plan, c, s, loop, rows, frames, words, i, m, out, written)
+    return take_message(plan, c, s, loop, frames, words, i, m, out, written)
 
 
 @hot_kernel
@@ -107,7 +120,7 @@ def mark_message(plan, loop, m, bit):
 
 
 @hot_kernel
-def take_message(plan, c, s, loop, rows, frames, words, i, m, out, written):
+def take_message(plan, c, s, loop, frames, words, i, m, out, written):
     """Hand every signal of a good frame to its channel: temperatures first, then references, then rates."""
     t_ns = frames[i]["t_ns"]
     for k in range(plan.messages[m]["first_use"], plan.messages[m]["last_use"]):
@@ -124,8 +137,6 @@ def take_message(plan, c, s, loop, rows, frames, words, i, m, out, written):
             put_sample(plan, c, s, loop, frames, words, i, ch, t_ns, value, out, written)
             written += ONE
         elif not np.isnan(value):
-            if role != REFERENCE:
-                correct_waiting(c, s, loop, rows, out, written)
             take_slow(plan, c, s, loop, ch, role, t_ns, value)
     return written
 

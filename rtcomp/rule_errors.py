@@ -18,9 +18,7 @@ EXTRAPOLATING = int(Flag.EXTRAPOLATING)
 
 @hot_kernel
 def rules_error(c, s, ch, g, warm, rate, t_s):
-    """TS output of group g at a temperature and a rate inside their validity; 0 without rules."""
-    if c.rule_start[g] == c.rule_start[g + ONE]:
-        return 0.0
+    """TS output of group g, which has rules, at a temperature and a rate inside their validity."""
     weights, weighted = sums(c, s, ch, g, warm, rate, t_s, 0.0)
     if weights < UNDERFLOW:
         weights, weighted = nearest_sums(c, s, ch, g, warm, rate, t_s)
@@ -110,10 +108,25 @@ def takes_time(c, g):
 
 
 @hot_kernel
-def block_error(c, s, rows, ch, g, warm, count):
-    """Add the output of group g to the first `count` rows; its rules must not take the time."""
+def add_rules(c, s, rows, ch, g, warm, count):
+    """Add the output of group g to the first `count` rows, and its flags."""
     if c.rule_start[g] == c.rule_start[g + ONE]:
         return
+    if takes_time(c, g):
+        for k in range(count):
+            t_s = max(rows.t_s[k], 0.0)
+            rows.error[k] += rules_error(c, s, ch, g, warm, rows.inside[k], t_s)
+            rows.flags[k] |= input_flags(c, s, ch, g, t_s)
+    else:
+        flags = input_flags(c, s, ch, g, 0.0)
+        for k in range(count):
+            rows.flags[k] |= flags
+        add_block(c, s, rows, ch, g, warm, count)
+
+
+@hot_kernel
+def add_block(c, s, rows, ch, g, warm, count):
+    """The same where nothing but the rate changes from row to row."""
     rate, weights, weighted = rows.inside[:count], rows.weights[:count], rows.weighted[:count]
     weights[:] = 0.0
     weighted[:] = 0.0

@@ -1,8 +1,8 @@
 """The compiled step: rates in, the predicted errors out, from the models and the thermal states of one channel.
 
 Rates wait until a temperature comes or their block is full, and are then predicted together (`predict_rows`): between
-two temperatures nothing but the rate and the time changes. One rate (`predict_error`) is a block of one; how rates are
-cut into blocks makes no difference to a single bit.
+two temperatures only the rate and the time change. `predict_error` is the same for one rate; neither that nor how
+rates are cut into blocks makes a difference to a single bit.
 """
 
 import math
@@ -13,13 +13,12 @@ import numpy as np
 from rtcomp.compiled import NO_BASE, RATE, SINE, TEMP
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
-from rtcomp.rule_errors import EXTRAPOLATING, block_error, input_flags, rules_error, takes_time
+from rtcomp.rule_errors import EXTRAPOLATING, add_rules, input_flags, rules_error
 from rtcomp.term_errors import term_error
 from rtcomp.terms import BIAS_PLAY, SCALE_PLAY
 from rtcomp.thermal import HIGHEST, LAST_COIL, LAST_TEMP, LOWEST, NEVER, ONE, SETTLED_AT, T_POWER_ON, clip
 
 BLOCK = 256  # rows that stay in the first cache
-FEW = 2  # a block of one is quicker by itself
 DEG = math.pi / 180.0
 UNSETTLED, MISSING = int(Flag.UNSETTLED), int(Flag.TEMPERATURE_MISSING)
 
@@ -59,8 +58,9 @@ def predict_error(c, s, ch, t_ns, rate):
         flags |= outside | (EXTRAPOLATING if inside != rate else 0)
         if c.base_kind[g] != NO_BASE:
             total += base_error(c, g, warm, inside)
-        total += rules_error(c, s, ch, g, warm, inside, max(t_s, 0.0))
-        flags |= input_flags(c, s, ch, g, max(t_s, 0.0))
+        if c.rule_start[g] != c.rule_start[g + ONE]:
+            total += rules_error(c, s, ch, g, warm, inside, max(t_s, 0.0))
+            flags |= input_flags(c, s, ch, g, max(t_s, 0.0))
     w = rate - total  # the best estimate of the true rate
     for j in range(c.term_start[ch], c.term_start[ch + ONE]):
         total += term_error(c, s, ch, j, rate, w, t_s)
@@ -69,41 +69,38 @@ def predict_error(c, s, ch, t_ns, rate):
 
 @hot_kernel
 def predict_rows(c, s, rows, ch, count):
-    """The same for the first `count` rows, all of channel `ch`."""
-    timed = False
-    for g in range(c.group_start[ch], c.group_start[ch + ONE]):
-        timed = timed or takes_time(c, g)
-    if count < FEW or timed or is_blind(c, s, ch):
-        for k in range(count):
-            rows.error[k], rows.flags[k] = predict_error(c, s, ch, rows.t_ns[k], rows.rate[k])
-    else:
-        predict_block(c, s, rows, ch, count)
-
-
-@hot_kernel
-def predict_block(c, s, rows, ch, count):
-    """`predict_error` step by step, each step for all rows."""
+    """The same for the first `count` rows, all of channel `ch`: each step for all rows before the next."""
+    if is_blind(c, s, ch):
+        rows.error[:count] = 0.0
+        rows.flags[:count] = MISSING
+        return
     always = play_flags(c, s, ch)
     for k in range(count):
         rows.t_s[k] = since_power_on(s, ch, rows.t_ns[k])
         rows.error[k] = 0.0
         rows.flags[k] = always | unsettled(c, s, ch, rows.t_ns[k], rows.t_s[k])
     for g in range(c.group_start[ch], c.group_start[ch + ONE]):
-        warm, outside = clipped_temperature(c, s, ch, g)
-        outside |= input_flags(c, s, ch, g, 0.0)
-        low, high = c.validity[g, RATE, 0], c.validity[g, RATE, 1]
-        for k in range(count):
-            rows.inside[k] = clip(rows.rate[k], low, high)
-            rows.flags[k] |= outside | (EXTRAPOLATING if rows.inside[k] != rows.rate[k] else 0)
+        warm = enter_validity(c, s, rows, ch, g, count)
         if c.base_kind[g] != NO_BASE:
             for k in range(count):
                 rows.error[k] += base_error(c, g, warm, rows.inside[k])
-        block_error(c, s, rows, ch, g, warm, count)
+        add_rules(c, s, rows, ch, g, warm, count)
     for k in range(count):
         rows.inside[k] = rows.rate[k] - rows.error[k]
     for j in range(c.term_start[ch], c.term_start[ch + ONE]):
         for k in range(count):
             rows.error[k] += term_error(c, s, ch, j, rows.rate[k], rows.inside[k], rows.t_s[k])
+
+
+@hot_kernel
+def enter_validity(c, s, rows, ch, g, count):
+    """Clip the rates into the validity of group g, flagged; returns the temperature, clipped likewise."""
+    warm, outside = clipped_temperature(c, s, ch, g)
+    low, high = c.validity[g, RATE, 0], c.validity[g, RATE, 1]
+    for k in range(count):
+        rows.inside[k] = clip(rows.rate[k], low, high)
+        rows.flags[k] |= outside | (EXTRAPOLATING if rows.inside[k] != rows.rate[k] else 0)
+    return warm
 
 
 @hot_kernel

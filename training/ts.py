@@ -187,8 +187,10 @@ def choose_rules(
             continue
         scores[count] = (float(squares.mean()), float(squares.std(ddof=1) / np.sqrt(len(squares))))
     if not scores:
-        fewest = min(refused)
-        raise RequestError(f"not even {fewest} rule{'s' if fewest > 1 else ''} can be fitted to a part of the recording: {refused[fewest]}")
+        reason = refused[min(refused)]
+        raise RequestError(
+            f"not even {min(refused)} rules can be fitted to a part of the recording: {reason}"
+        )
     best = min(scores, key=lambda count: scores[count][0])
     limit = sum(scores[best])
     chosen = min(count for count in scores if scores[count][0] <= limit)
