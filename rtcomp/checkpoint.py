@@ -28,7 +28,7 @@ from rtcomp.frames import Flag
 from rtcomp.model import document_hash, model_document
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import REFERENCE
-from rtcomp.step import NEVER, T_POWER_ON, T_THERMAL
+from rtcomp.thermal import NEVER, T_POWER_ON, T_THERMAL
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,8 @@ from rtcomp.errors import RequestError
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
 from rtcomp.model import Model
-from rtcomp.step import T_POWER_ON, forget, new_state, predict_error, sigma, thermal_update
+from rtcomp.step import predict_error, sigma
+from rtcomp.thermal import T_POWER_ON, forget, new_state, thermal_update
 
 FIRST = np.uint64(0)  # a compensator has one channel
 
@@ -81,14 +82,23 @@ def predict(
         )
     compensator = Compensator(stack, 0 if power_on_known and t_s is not None else None)
     error, std, flags = np.empty(rate.shape), np.empty(rate.shape), np.zeros(rate.shape, np.int64)
-    predict_rows(
-        compensator.compiled, compensator.state, t_s is None, t_ns, rate, temp, coil, error, std, flags
+    predict_recording(
+        compensator.compiled,
+        compensator.state,
+        t_s is None,
+        t_ns,
+        rate,
+        temp,
+        coil,
+        error,
+        std,
+        flags,
     )
     return Prediction(error, std, flags)
 
 
 @hot_kernel
-def predict_rows(c, s, independent, t_ns, rate, temp, coil, error, std, flags):
+def predict_recording(c, s, independent, t_ns, rate, temp, coil, error, std, flags):
     """Fill `error`, `std` and `flags` (n,) row by row."""
     for i in range(rate.shape[0]):
         if independent:

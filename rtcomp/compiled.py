@@ -11,8 +11,10 @@ from rtcomp.terms import DRIVERS, EMPIRICAL, PPM, TERMS, parameter_row
 N_INPUTS = len(INPUTS)
 TEMP, RATE, COIL, TEMP_RATE, LAG_TEMP, TIME = range(N_INPUTS)
 FILTER_TAU_S = {"temp_rate_degC_per_s": 60.0, "lag_temp_degC": 300.0}
+RATE_NAME = INPUTS[RATE]
 NO_BASE, SINE, POLYNOMIAL = range(3)
 PARAMETERS, TERM_STATES = 8, 4
+COLUMNS = 1 + MAX_INPUTS  # of the rules: the rate, whether they take it or not, and the other inputs
 DYNAMIC = {"thermal_lag", "shupe", "scale_temperature_rate"}
 TIMED = {"bias_warmup", "scale_warmup", "bias_drift", "source_ageing"}
 SETTLE_TAUS = 5.0  # e⁻⁵ < 1 % of an unknown start is left
@@ -26,12 +28,12 @@ class Compiled(NamedTuple):
 
     group_start: np.ndarray  # uint64 (channels + 1)
     term_start: np.ndarray  # uint64 (channels + 1)
-    group_inputs: np.ndarray  # int64 (groups, MAX_INPUTS): index into INPUTS, −1 when unused
-    group_size: np.ndarray  # int64 (groups): how many inputs its rules take
+    group_inputs: np.ndarray  # int64 (groups, COLUMNS): index into INPUTS, the rate first
+    group_size: np.ndarray  # int64 (groups): how many columns are in use
     rule_start: np.ndarray  # uint64 (groups + 1)
-    centers: np.ndarray  # float64 (rules, MAX_INPUTS)
-    inverse_widths: np.ndarray  # float64 (rules, MAX_INPUTS)
-    consequents: np.ndarray  # float64 (rules, MAX_INPUTS + 1), the constant first
+    centers: np.ndarray  # float64 (rules, COLUMNS)
+    inverse_widths: np.ndarray  # float64 (rules, COLUMNS); 0 where an input does not matter
+    consequents: np.ndarray  # float64 (rules, COLUMNS + 1), the constant first
     base_kind: np.ndarray  # int64 (groups)
     base: np.ndarray  # float64 (groups, PARAMETERS)
     validity: np.ndarray  # float64 (groups, N_INPUTS, 2)
@@ -52,9 +54,9 @@ def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
     """
     models = [model for stack in stacks for model in stack]
     table: list[float] = []
-    inputs = np.full((len(models), MAX_INPUTS), -1, np.int64)
+    inputs = np.full((len(models), COLUMNS), -1, np.int64)
     for g, model in enumerate(models):
-        inputs[g, : len(model.inputs)] = [INPUTS.index(name) for name in model.inputs]
+        inputs[g, : len(_columns(model))] = [INPUTS.index(name) for name in _columns(model)]
     bases = [_base(model, table) for model in models]
     terms = [(TERMS[t.effect].code, g, _term_row(t, table)) for g, m in enumerate(models) for t in m.terms]
     sigma = np.array([_sigma(stack, table) for stack in stacks], np.int64).reshape(-1, 3)
@@ -62,11 +64,15 @@ def compile_models(stacks: Sequence[Sequence[Model]]) -> Compiled:
         _starts([len(stack) for stack in stacks]),
         _starts([sum(len(m.terms) for m in stack) for stack in stacks]),
         inputs,
-        np.array([len(m.inputs) for m in models], np.int64),
+        np.array([len(_columns(m)) for m in models], np.int64),
         _starts([len(m.rules.centers) for m in models]),
-        _rows([row for m in models for row in m.rules.centers], MAX_INPUTS, 0.0),
-        1.0 / _rows([row for m in models for row in m.rules.widths], MAX_INPUTS, np.inf),
-        _rows([row for m in models for row in m.rules.consequents], MAX_INPUTS + 1, 0.0),
+        _rows([_ordered(m, row, 0.0) for m in models for row in m.rules.centers], COLUMNS, 0.0),
+        1.0 / _rows([_ordered(m, row, np.inf) for m in models for row in m.rules.widths], COLUMNS, np.inf),
+        _rows(
+            [[a0, *_ordered(m, row, 0.0)] for m in models for a0, *row in m.rules.consequents],
+            COLUMNS + 1,
+            0.0,
+        ),
         np.array([kind for kind, _ in bases], np.int64),
         _rows([row for _, row in bases], PARAMETERS, 0.0),
         _validity(models),
@@ -90,6 +96,17 @@ def _rows(rows: list[list[float]], width: int, fill: float) -> np.ndarray:
     for target, row in zip(array, rows, strict=True):
         target[: len(row)] = row
     return array
+
+
+def _columns(model: Model) -> list[str]:
+    """The inputs of the compiled rules: the rate always, and first."""
+    return [RATE_NAME, *(name for name in model.inputs if name != RATE_NAME)]
+
+
+def _ordered(model: Model, row: Sequence[float], absent: float) -> list[float]:
+    """One value per input, in the order of `_columns`; `absent` for a rate that the rules do not take."""
+    by_name = dict(zip(model.inputs, row, strict=True))
+    return [by_name.get(name, absent) for name in _columns(model)]
 
 
 def _base(model: Model, table: list[float]) -> tuple[int, list[float]]:

@@ -24,3 +24,11 @@ def hot_kernel(function: Any) -> Any:
     """
     options: dict[str, Any] = {"forceinline": True, "_nrt": False}
     return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+
+
+def sum_kernel(function: Any) -> Any:
+    """Compile a sum over many samples at a desk: its terms may be added in any order, many at a time.
+
+    For training only, where sums over whole recordings go through such kernels or BLAS, which does the same.
+    """
+    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc"})(function)

@@ -12,12 +12,24 @@ import numpy as np
 from rtcomp.compiled import Compiled, compile_models
 from rtcomp.decode import frame_words
 from rtcomp.errors import RequestError
-from rtcomp.frame_loop import CAUSES, LOST_FRAMES, TOTALS, LoopState, new_loop_state, run_loop
+from rtcomp.frame_loop import run_loop
 from rtcomp.frames import CORRECTED, Flag
+from rtcomp.loop_state import CAUSES, LOST_FRAMES, TOTALS, LoopState, new_loop_state
 from rtcomp.model import Model
 from rtcomp.plan import CompiledMap
-from rtcomp.step import LAST_COIL, LAST_TEMP, NEVER, T_POWER_ON, T_THERMAL, State, new_state, thermal_update
+from rtcomp.samples import new_output
+from rtcomp.step import new_rows
 from rtcomp.terms import TERMS
+from rtcomp.thermal import (
+    LAST_COIL,
+    LAST_TEMP,
+    NEVER,
+    T_POWER_ON,
+    T_THERMAL,
+    State,
+    new_state,
+    thermal_update,
+)
 
 BATCH = 4096
 THERMAL_PARAMETERS = ("tau_s", "tau2_s", "smooth_s", "play_K")
@@ -51,8 +63,8 @@ class Pipeline:
         self.stacks: list[Sequence[Model]] = self._stacks(models or {})
         self.compiled: Compiled = compile_models(self.stacks)
         self.state: State = new_state(self.compiled)
-        self._out = np.zeros(BATCH + len(self.names), CORRECTED)
-        self._channel = np.zeros(len(self._out), np.uint8)
+        self._out = new_output(BATCH + len(self.names))
+        self._rows = new_rows()
         if power_on_ns is not None:
             self.power_on(power_on_ns)
 
@@ -70,14 +82,13 @@ class Pipeline:
         """Take in frames; yields samples in pieces of bounded size, each valid until the next is asked for."""
         frames = np.ascontiguousarray(frames)
         words = frame_words(frames)
-        out, channel = self._out, self._channel
-        done = 0
+        out, done = self._out, 0
         while done < len(frames):
             done, count = run_loop(
-                self.map.plan, self.compiled, self.state, self.loop, frames, words, done, out, channel
+                self.map.plan, self.compiled, self.state, self.loop, self._rows, frames, words, done, out
             )
             if count:
-                yield Samples(out[:count], channel[:count])
+                yield Samples(out.corrected[:count], out.channel[:count])
 
     def process_all(self, frames: np.ndarray) -> Samples:
         """The samples of all frames at once."""

@@ -9,7 +9,7 @@ import numpy as np
 from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel
 from rtcomp.plan import COIL
-from rtcomp.step import NEVER, SETTLED_AT
+from rtcomp.thermal import NEVER, SETTLED_AT
 
 TEMP_IMPLAUSIBLE, TEMP_STUCK = int(Flag.TEMPERATURE_IMPLAUSIBLE), int(Flag.TEMPERATURE_STUCK)
 RATE_IMPLAUSIBLE, RATE_STUCK = int(Flag.RATE_IMPLAUSIBLE), int(Flag.RATE_STUCK)

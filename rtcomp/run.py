@@ -13,8 +13,8 @@ import numpy as np
 from rtcomp.checkpoint import Checkpointer
 from rtcomp.config import RunConfig
 from rtcomp.errors import RequestError
-from rtcomp.frame_loop import FRAMES
 from rtcomp.frames import CORRECTED, FRAME
+from rtcomp.loop_state import FRAMES
 from rtcomp.model import Model, model_document
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import CompiledMap, compile_map

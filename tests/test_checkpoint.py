@@ -22,7 +22,7 @@ from rtcomp.frames import Flag
 from rtcomp.model import Term, save_model
 from rtcomp.pipeline import Pipeline
 from rtcomp.sources.candump import CandumpWriter
-from rtcomp.step import NEVER, T_POWER_ON
+from rtcomp.thermal import NEVER, T_POWER_ON
 from tests.conftest import START_NS
 
 SECOND = 1_000_000_000

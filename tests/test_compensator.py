@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rtcomp.compensator import Compensator, predict
+from rtcomp.compensator import FIRST, Compensator, predict
 from rtcomp.errors import RequestError
 from rtcomp.frames import Flag
 from rtcomp.model import OpenLoopSine, Polynomial, ResidualTable, Rules, Term, new_model
+from rtcomp.step import BLOCK, new_rows, predict_error, predict_rows
 
 NS = 1_000_000_000
 
@@ -247,3 +248,34 @@ def test_time_that_runs_backwards_does_not_move_a_thermal_state():
 def test_shapes_that_differ_are_refused(ts_model):
     with pytest.raises(RequestError, match="differ in shape"):
         predict(ts_model, np.zeros(3), np.zeros(4))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 5), st.integers(1, 300), st.integers(0, 1000))
+def test_a_block_of_rates_has_the_bits_of_each_alone(case, count, seed):
+    random = np.random.default_rng(seed)
+    rules = Rules(
+        [[10.0, -50.0], [30.0, 60.0]], [[12.0, 40.0], [9.0, 70.0]], [[0.1, 0.01, 0.02], [0.3, -0.01, 0.0]]
+    )
+    inputs = [
+        ["temp_degC", "rate_dps"],
+        ["rate_dps", "coil_temp_degC"],
+        ["temp_degC", "time_since_power_on_s"],
+    ][case % 3]
+    lag = {"effect": "thermal_lag", "parameters": {"tau_s": 30.0, "bias_dps_per_K": 0.01}}
+    warm_up = {"effect": "bias_warmup", "parameters": {"amplitude_dps": 0.2, "tau_s": 100.0}}
+    base = {"kind": "open_loop_sine", "K0_s": 0.178, "alpha_per_K": -350e-6} if case > 2 else None
+    model = new_model(
+        inputs=inputs, rules=rules, base=base, terms=[lag, warm_up], validity={"rate_dps": (-150.0, 150.0)}
+    )
+    alone, together = Compensator([model], 0), Compensator([model], 0)
+    rows, t_ns, rate = new_rows(), np.arange(1, count + 1) * NS, random.uniform(-1e4, 200.0, count)
+    for compensator in (alone, together):
+        compensator.temperature(0, 20.0, 21.0)
+        compensator.temperature(NS // 2, 20.5, 21.0)
+    n = min(count, BLOCK)
+    rows.t_ns[:n], rows.rate[:n] = t_ns[:n], rate[:n]
+    predict_rows(together.compiled, together.state, rows, FIRST, n)
+    each = [predict_error(alone.compiled, alone.state, FIRST, t_ns[k], rate[k]) for k in range(n)]
+    assert np.array([error for error, _ in each]).tobytes() == rows.error[:n].tobytes()
+    assert [flags for _, flags in each] == rows.flags[:n].tolist()

@@ -9,8 +9,7 @@ from training.gk_kernels import (
     distances,
     norm_matrix,
     update_partition,
-    weighted_centers,
-    weighted_covariances,
+    weighted_moments,
 )
 
 NAMES = ["temp_degC", "rate_dps", "error_dps"]
@@ -47,13 +46,16 @@ def test_one_round_is_the_printed_equations(m):
     z, _, _ = standardise(blobs())
     mu = random_partition(z.shape[1], 3, 1)
     v, d2, new = naive_round(z.T, mu.T, m)
-    centers, covariances, norms = np.empty((3, 3)), np.empty((3, 3, 3)), np.empty((3, 3, 3))
-    weighted_centers(z, mu, m, centers)
-    weighted_covariances(z, mu, centers, m, covariances)
+    centers, covariances, norms = (
+        z[:, :3].T.copy(),
+        np.empty((3, 3, 3)),
+        np.empty((3, 3, 3)),
+    )  # any point to sum about
+    weighted_moments(z, mu, m, centers, covariances)
     repaired = [norm_matrix(covariances[j], 1e12, 0.0, 1.0, norms[j]) for j in range(3)]
     assert not any(repaired)
     square = np.empty(mu.shape)
-    distances(z, centers, norms, square, np.empty(z.shape))
+    distances(z, 0, z.shape[1], centers, norms, square, np.empty(z.shape))
     before = mu.copy()
     change, objective = update_partition(z, mu, centers, norms, m)
     np.testing.assert_allclose(centers, v, rtol=1e-10)

@@ -149,3 +149,11 @@ def test_refusals_name_what_is_wrong():
         choose_rules(*planted(), np.zeros(400), NAMES, TsOptions())
     with pytest.raises(RequestError, match="give one of gk-rls"):
         TsOptions("anfis")
+
+
+def test_where_no_number_of_rules_can_be_fitted_the_reason_is_named():
+    inputs, error = planted()
+    inputs = inputs.copy()
+    inputs[:, 0] = 20.0
+    with pytest.raises(RequestError, match=f"{NAMES[0]} is constant at 20"):
+        choose_rules(inputs, error, np.arange(len(error)) % 5, NAMES, TsOptions(), candidates=(1, 2))

@@ -124,7 +124,7 @@ def _run(
 ) -> _End:
     """One start: Λ random, then eqs. 7, 5, 4, 6 in turn until ‖Λ_l − Λ_(l−1)‖ (largest entry) < ε."""
     mu = random_partition(z.shape[1], clusters, seed)
-    spread = float(np.linalg.det(np.atleast_2d(np.cov(z, bias=True)))) ** (1 / len(z))
+    spread = _spread(z) if settings.shrinkage else 0.0
     at_once = settings.max_iterations if z.shape[1] < LARGE else 1
     objective = np.empty(settings.max_iterations)
     done, change, repaired = 0, np.inf, False
@@ -141,6 +141,11 @@ def _run(
     return _End(centers, mu, objective[:done], repaired, change < settings.tolerance, coincide, seed)
 
 
+def _spread(z: np.ndarray) -> float:
+    """The scale of the identity that covariances are shrunk to: det(cov z)^(1/columns)."""
+    return float(np.linalg.det(np.atleast_2d(np.cov(z, bias=True)))) ** (1 / len(z))
+
+
 def random_partition(samples: int, clusters: int, seed: int) -> np.ndarray:
     """Λ at first: random memberships `(clusters, samples)` whose columns sum to 1."""
     mu = np.random.default_rng(seed).random((clusters, samples))
@@ -151,12 +156,10 @@ def random_partition(samples: int, clusters: int, seed: int) -> np.ndarray:
 
 def _coincide(centers: np.ndarray, covariances: np.ndarray) -> bool:
     """Two centres closer than COINCIDE in the metric of either cluster."""
-    for j in range(len(centers)):
-        for k in range(j):
-            apart = centers[j] - centers[k]
-            if apart @ np.linalg.pinv(covariances[j] + covariances[k]) @ apart < COINCIDE**2:
-                return True
-    return False
+    first, second = np.triu_indices(len(centers), 1)
+    apart = centers[first] - centers[second]
+    metric = np.linalg.pinv(covariances[first] + covariances[second])
+    return bool((np.einsum("pi,pij,pj->p", apart, metric, apart) < COINCIDE**2).any())
 
 
 def _finish(end: _End, z: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> Clustering:

@@ -7,7 +7,7 @@ that stay in the cache.
 
 import numpy as np
 
-from rtcomp.jit import kernel
+from rtcomp.jit import kernel, sum_kernel
 
 BLOCK = 2048
 
@@ -19,13 +19,12 @@ def iterate(z, mu, m, tolerance, steps, max_ratio, shrinkage, spread, objective)
     Returns (rounds done, last change, whether the repair acted, centres, covariances); `objective` takes J (eq. 3).
     """
     n, clusters = z.shape[0], mu.shape[0]
-    centers = np.empty((clusters, n))
+    centers = np.zeros((clusters, n))
     covariances = np.empty((clusters, n, n))
     norms = np.empty((clusters, n, n))
     repaired, change, done = False, np.inf, 0
     while done < steps and change >= tolerance:
-        weighted_centers(z, mu, m, centers)
-        weighted_covariances(z, mu, centers, m, covariances)
+        weighted_moments(z, mu, m, centers, covariances)
         for j in range(clusters):
             repaired |= norm_matrix(covariances[j], max_ratio, shrinkage, spread, norms[j])
         change, objective[done] = update_partition(z, mu, centers, norms, m)
@@ -44,52 +43,66 @@ def powered(mu, m, out):
             out[i] = mu[i] ** m
 
 
-@kernel
-def weighted_centers(z, mu, m, centers):
-    """v_j = Σ_i μ_ji^m z_i / Σ_i μ_ji^m (eq. 7)."""
-    n, samples = z.shape
-    weights = np.empty(min(BLOCK, samples))
-    ones = np.ones(min(BLOCK, samples))
-    for j in range(mu.shape[0]):
-        total = 0.0
-        centers[j, :] = 0.0
-        for first in range(0, samples, BLOCK):
-            last = min(first + BLOCK, samples)
-            w = weights[: last - first]
-            powered(mu[j, first:last], m, w)
-            total += np.dot(w, ones[: last - first])
-            for k in range(n):
-                centers[j, k] += np.dot(w, z[k, first:last])
-        for k in range(n):
-            centers[j, k] /= total
+@sum_kernel
+def total_of(a):
+    """Σ a_i."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i]
+    return total
+
+
+@sum_kernel
+def product_of(a, b):
+    """Σ a_i b_i."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
 @kernel
-def weighted_covariances(z, mu, centers, m, covariances):
-    """F_j = Σ_i μ_ji^m (z_i − v_j)(z_i − v_j)ᵀ / Σ_i μ_ji^m (eq. 5)."""
+def largest_of(a):
+    """Largest of numbers of which none is negative: their bits, taken as integers, are in the same order."""
+    largest = np.int64(0)
+    for i in range(len(a)):
+        largest = max(largest, np.float64(a[i]).view(np.int64))
+    return np.int64(largest).view(np.float64)
+
+
+@kernel
+def weighted_moments(z, mu, m, centers, covariances):
+    """v_j = Σ_i μ_ji^m z_i / Σ_i μ_ji^m (eq. 7) and F_j = Σ_i μ_ji^m (z_i − v_j)(z_i − v_j)ᵀ / Σ_i μ_ji^m (eq. 5).
+
+    One pass for both: sums are taken about the centres that `centers` brings, and moved to the new ones,
+    F = Σ μ^m (z − v₀)(z − v₀)ᵀ / Σ μ^m − (v − v₀)(v − v₀)ᵀ; as the partition settles v − v₀ goes to 0.
+    """
     n, samples = z.shape
     size = min(BLOCK, samples)
-    weights, weighted, ones = np.empty(size), np.empty(size), np.ones(size)
-    apart = np.empty((n, size))
+    weights, weighted, apart, moved = np.empty(size), np.empty(size), np.empty((n, size)), np.empty(n)
     for j in range(mu.shape[0]):
         total = 0.0
+        moved[:] = 0.0
         covariances[j] = 0.0
         for first in range(0, samples, BLOCK):
             last = min(first + BLOCK, samples)
             b = last - first
             w, part = weights[:b], weighted[:b]
             powered(mu[j, first:last], m, w)
-            total += np.dot(w, ones[:b])
+            total += total_of(w)
             for k in range(n):
                 row, source, v = apart[k], z[k, first:last], centers[j, k]
                 for i in range(b):
                     row[i] = source[i] - v
                     part[i] = w[i] * row[i]
+                moved[k] += total_of(part)
                 for h in range(k + 1):
-                    covariances[j, k, h] += np.dot(part, apart[h, :b])
+                    covariances[j, k, h] += product_of(part, apart[h, :b])
         for k in range(n):
+            moved[k] /= total
+            centers[j, k] += moved[k]
             for h in range(k + 1):
-                covariances[j, k, h] /= total
+                covariances[j, k, h] = covariances[j, k, h] / total - moved[k] * moved[h]
                 covariances[j, h, k] = covariances[j, k, h]
 
 
@@ -175,62 +188,71 @@ def update_partition(z, mu, centers, norms, m):
     for first in range(0, samples, BLOCK):
         last = min(first + BLOCK, samples)
         b = last - first
-        distances(z[:, first:last], centers, norms, square[:, :b], apart[:, :b])
-        objective += inverse_powers(square[:, :b], m, inverse, share)
+        distances(z, first, last, centers, norms, square, apart)
+        objective += inverse_powers(square, b, m, inverse, share)
         for j in range(clusters):
-            old, q, moved = mu[j, first:last], inverse[j], square[j]  # distances are not needed any more
+            old, q, moved = (
+                mu[j, first:last],
+                inverse[j, :b],
+                square[j, :b],
+            )  # distances are not needed any more
             for i in range(b):
-                new = q[i] * share[i]
-                moved[i] = abs(new - old[i])
-                old[i] = new
+                q[i] *= share[i]
+                moved[i] = abs(q[i] - old[i])
             for i in range(b):
-                change = max(change, moved[i])
+                old[i] = q[i]
+            change = max(change, largest_of(moved))
     return change, objective
 
 
 @kernel
-def distances(z, centers, norms, square, apart):
-    """D²_ji = (z_i − v_j)ᵀ A_j (z_i − v_j) (eq. 4); `apart` is scratch, shape (columns, samples)."""
-    n, samples = z.shape
+def distances(z, first, last, centers, norms, square, apart):
+    """D²_ji = (z_i − v_j)ᵀ A_j (z_i − v_j) (eq. 4) of samples `first` to `last`, into the first places of `square`.
+
+    `apart` is scratch, shape (columns, samples). Rows are cut here, for only then is it known that they have no gaps.
+    """
+    n, b = z.shape[0], last - first
     for j in range(len(centers)):
-        d = square[j]
+        d = square[j, :b]
         d[:] = 0.0
         for k in range(n):
-            row, source, v = apart[k], z[k], centers[j, k]
+            row, source, v = apart[k, :b], z[k, first:last], centers[j, k]
             a = norms[j, k, k]
-            for i in range(samples):
+            for i in range(b):
                 row[i] = source[i] - v
                 d[i] += a * row[i] * row[i]
             for h in range(k):
-                other, twice = apart[h], 2.0 * norms[j, k, h]
-                for i in range(samples):
+                other, twice = apart[h, :b], 2.0 * norms[j, k, h]
+                for i in range(b):
                     d[i] += twice * row[i] * other[i]
 
 
-@kernel
-def inverse_powers(square, m, inverse, share):
+@sum_kernel
+def inverse_powers(square, samples, m, inverse, share):
     """`inverse` = (1/D²)^(1/(m−1)), `share` = 1/Σ_j of it, so that μ = inverse·share (eq. 6); returns this part of J.
 
     By eq. 6 Σ_j μ_ji^m D²_ji = share^(m−1). The floor keeps a point that sits on centres finite: it then belongs to
     them in equal shares.
     """
-    clusters, samples = square.shape
     power, objective = 1.0 / (m - 1.0), 0.0
     floor = max(1e-300, 10.0 ** (-300.0 * (m - 1.0)))
-    share[:samples] = 0.0
-    for j in range(clusters):
-        d, q = square[j], inverse[j]
+    total = share[:samples]
+    total[:] = 0.0
+    for j in range(len(square)):
+        d, q = square[j, :samples], inverse[j, :samples]
         for i in range(samples):
             q[i] = 1.0 / max(d[i], floor)
         if m != 2.0:
             for i in range(samples):
                 q[i] = q[i] ** power
         for i in range(samples):
-            share[i] += q[i]
+            total[i] += q[i]
     for i in range(samples):
-        share[i] = 1.0 / share[i]
+        total[i] = 1.0 / total[i]
+    if m == 2.0:
+        return total_of(total)
     for i in range(samples):
-        objective += share[i] if m == 2.0 else share[i] ** (m - 1.0)
+        objective += total[i] ** (m - 1.0)
     return objective
 
 

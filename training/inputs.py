@@ -10,7 +10,7 @@ import numpy as np
 from rtcomp.compiled import FILTER_TAU_S
 from rtcomp.errors import RequestError
 from rtcomp.jit import kernel
-from rtcomp.step import low_pass
+from rtcomp.thermal import low_pass
 from training.table import Recording
 
 log = logging.getLogger(__name__)

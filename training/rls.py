@@ -55,13 +55,13 @@ def recurse(theta, P, phi, y, forgetting, largest_trace):
         trace += P[j, j]
     for i in range(len(y)):
         r, residual, length = 0.0, y[i], 0.0
+        gain[:] = 0.0
+        for k in range(p):  # P is symmetric: its rows are its columns, and a row is a vector
+            for j in range(p):
+                gain[j] += P[k, j] * phi[i, k]
         for j in range(p):
-            total = 0.0
-            for k in range(p):
-                total += P[j, k] * phi[i, k]
-            gain[j] = total
-            length += total * total
-            r += total * phi[i, j]
+            length += gain[j] * gain[j]
+            r += gain[j] * phi[i, j]
             residual -= theta[j] * phi[i, j]
         if not r > 0.0:
             continue
@@ -76,7 +76,6 @@ def recurse(theta, P, phi, y, forgetting, largest_trace):
         less /= r
         trace = 0.0
         for j in range(p):
-            for k in range(j + 1):
-                P[j, k] -= less * gain[j] * gain[k]
-                P[k, j] = P[j, k]
+            for k in range(p):
+                P[j, k] -= less * (gain[j] * gain[k])  # in this order the same bits for (k, j)
             trace += P[j, j]

@@ -134,12 +134,16 @@ def recursive_consequents(
     """RLS over all rows in order, a chunk of φ at a time; θ and the residual standard deviation [°/s]."""
     c, k = antecedents.centers.shape
     estimator = RecursiveLeastSquares(c * (k + options.offset), options.rls_start)
+    phi = np.empty((0, estimator.size))
     chunks = [slice(first, first + CHUNK) for first in range(0, len(inputs), CHUNK)]
     for rows in chunks:
-        estimator.update(_phi(inputs[rows], scaling, antecedents, options.offset), error[rows])
+        phi = _phi(inputs[rows], scaling, antecedents, options.offset)
+        estimator.update(phi, error[rows])
     square = 0.0
     for rows in chunks:
-        left = error[rows] - _phi(inputs[rows], scaling, antecedents, options.offset) @ estimator.theta
+        if len(chunks) > 1:  # more than one was too much to keep
+            phi = _phi(inputs[rows], scaling, antecedents, options.offset)
+        left = error[rows] - phi @ estimator.theta
         square += float(left @ left)
     return estimator.theta, float(np.sqrt(square / max(len(inputs) - estimator.size, 1)))
 
@@ -173,13 +177,20 @@ def choose_rules(
     """
     fold = fold_of_groups(groups, folds, options.clustering.seed)
     scores: dict[int, tuple[float, float]] = {}
+    refused: dict[int, RequestError] = {}
     for count in candidates:
-        squares = _held_out_squares(inputs, error_dps, fold, names, replace(options, rules=count))
-        if squares is not None:
-            mean = squares.mean()
-            scores[count] = (float(mean), float(squares.std(ddof=1) / np.sqrt(len(squares))))
+        try:
+            squares = _held_out_squares(inputs, error_dps, fold, names, replace(options, rules=count))
+        except RequestError as reason:
+            log.info("%d rules: %s", count, reason)
+            refused[count] = reason
+            continue
+        scores[count] = (float(squares.mean()), float(squares.std(ddof=1) / np.sqrt(len(squares))))
     if not scores:
-        raise RequestError(f"no number of rules of {list(candidates)} can be held out: record more points")
+        reason = refused[min(refused)]
+        raise RequestError(
+            f"not even {min(refused)} rules can be fitted to a part of the recording: {reason}"
+        )
     best = min(scores, key=lambda count: scores[count][0])
     limit = sum(scores[best])
     chosen = min(count for count in scores if scores[count][0] <= limit)
@@ -198,16 +209,12 @@ def fold_of_groups(groups: np.ndarray, folds: int, seed: int) -> np.ndarray:
 
 def _held_out_squares(
     inputs: np.ndarray, error: np.ndarray, fold: np.ndarray, names: Sequence[str], options: TsOptions
-) -> np.ndarray | None:
-    """Mean squared held-out error per fold; None when a fold cannot be fitted with that many rules."""
+) -> np.ndarray:
+    """Mean squared held-out error per fold; RequestError when a fold cannot be fitted with that many rules."""
     squares = []
     for left_out in np.unique(fold):
         train = fold != left_out
-        try:
-            found = fit(inputs[train], error[train], names, options)
-        except RequestError as reason:
-            log.info("%d rules: %s", options.rules, reason)
-            return None
+        found = fit(inputs[train], error[train], names, options)
         left = error[~train] - rules_output(found.rules, inputs[~train])
         squares.append(np.mean(left**2))
     return np.array(squares)

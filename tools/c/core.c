@@ -1,9 +1,13 @@
 /* The floor for tools.bench_core: what the frame loop does for the bundled FOG format, written straight down in C.
- * FRAME array in, CORRECTED array out: id, length, CRC (E2E profile 1A), counter, rate and temperature, four TS rules
- * (equations 1, 2, 9-11), one thermal lag, flags and ages. No DBC, no map, one channel, one model. */
+ * FRAME array in, CORRECTED array out, every field and count of them equal to ours (the bench compares): id, length,
+ * CRC (E2E profile 1A), counter, rate and temperatures, four TS rules (equations 1, 2, 9-11), one thermal lag, validity,
+ * flags and ages. No DBC, no map, one channel, one model: that is what the comparison is about. */
 #include <math.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
+
+enum { GAP_NS = 30000000, MAX_AGE_NS = 2000000000 };
 
 #pragma pack(push, 1)
 struct frame { int64_t t_ns; uint32_t can_id; uint8_t flags, length; uint16_t reserved; uint8_t data[64]; };
@@ -18,7 +22,12 @@ struct model {
     double temp_low, temp_high, rate_low, rate_high, tau_s, lag_scale, sigma;
 };
 struct state {
-    double temp, lagged; int64_t t_temp, settled_at; uint64_t seq; int last[2], allowed[2]; uint32_t marks; int64_t rejected[3];
+    double temp, coil, lagged;
+    int64_t t_temp, t_rate, settled_at;
+    uint64_t seq;
+    int last[2], allowed[2];
+    uint32_t marks;
+    int64_t rejected[3], frames, ignored, samples, flag_counts[32];
 };
 
 static uint8_t table[256];
@@ -30,12 +39,13 @@ void prepare(struct state *s) {
         table[value] = crc;
     }
     memset(s, 0, sizeof *s);
-    s->temp = NAN;
+    s->temp = s->coil = NAN;
+    s->t_rate = INT64_MIN;
     s->last[0] = s->last[1] = -1;
 }
 
 static int good(struct state *s, const struct frame *f, int kind, uint16_t data_id) {
-    if (f->length != 8 || f->flags & 0x0A) { s->rejected[0]++; s->marks |= 32; return 0; }
+    if (f->length != 8 || f->flags & 0x08) { s->rejected[0]++; s->marks |= 32; return 0; }
     uint8_t crc = table[table[data_id & 0xFF] ^ (data_id >> 8)];
     for (int k = 1; k < 8; k++) crc = table[crc ^ f->data[k]];
     if (crc != f->data[0]) { s->rejected[1]++; s->allowed[kind]++; s->marks |= 32; return 0; }
@@ -51,8 +61,10 @@ static int good(struct state *s, const struct frame *f, int kind, uint16_t data_
 static double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 
 static void take_temperature(struct state *s, const struct model *m, const struct frame *f) {
-    int16_t raw;
+    int16_t raw, coil;
     memcpy(&raw, f->data + 2, 2);
+    memcpy(&coil, f->data + 4, 2);
+    if (coil != -32768) s->coil = coil * 0.01;
     if (raw == -32768) return;
     double temp = raw * 0.01, x1 = clip(temp, m->temp_low, m->temp_high);
     if (isnan(s->temp)) {
@@ -70,18 +82,21 @@ static void take_temperature(struct state *s, const struct model *m, const struc
 static double predict(const struct state *s, const struct model *m, double rate, uint32_t *flags) {
     double x[2] = {clip(s->temp, m->temp_low, m->temp_high), clip(rate, m->rate_low, m->rate_high)};
     if (x[0] != s->temp || x[1] != rate) *flags |= 4;
-    double exponent[4], largest = -INFINITY, weights = 0, weighted = 0;
+    double exponent[4], weights = 0, weighted = 0, shift = 0;
     for (int j = 0; j < 4; j++) {
         double a = (x[0] - m->centers[j][0]) * m->inverse_widths[j][0];
         double b = (x[1] - m->centers[j][1]) * m->inverse_widths[j][1];
-        exponent[j] = -0.5 * (a * a) - 0.5 * (b * b);
-        if (exponent[j] > largest) largest = exponent[j];
+        exponent[j] = -0.5 * (a * a + b * b);
     }
-    for (int j = 0; j < 4; j++) {
-        double w = exponent[j] == largest ? 1.0 : exp(exponent[j] - largest);
-        weights += w;
-        weighted += w * (m->consequents[j][0] + m->consequents[j][1] * x[0] + m->consequents[j][2] * x[1]);
-    }
+    do {
+        weights = weighted = 0;
+        for (int j = 0; j < 4; j++) {
+            double w = exp(exponent[j] - shift);
+            weights += w;
+            weighted += w * (m->consequents[j][0] + m->consequents[j][1] * x[0] + m->consequents[j][2] * x[1]);
+        }
+        shift = fmax(fmax(exponent[0], exponent[1]), fmax(exponent[2], exponent[3]));
+    } while (weights < 1e-250); /* far from every rule: once more, the largest exponent taken out */
     double total = weighted / weights;
     return total + (rate - total) * m->lag_scale * (s->lagged - x[0]);
 }
@@ -90,25 +105,38 @@ int64_t run(struct state *s, const struct model *m, const struct frame *frames, 
     int64_t written = 0;
     for (int64_t i = 0; i < n; i++) {
         const struct frame *f = frames + i;
-        if (f->can_id == 0xA1) {
+        s->frames++;
+        if (f->flags & 4) {
+            s->rejected[0]++;
+            s->marks |= 32;
+        } else if (f->can_id == 0xA1) {
             if (good(s, f, 1, 0x0FA2)) take_temperature(s, m, f);
-        } else if (f->can_id == 0xA0 && good(s, f, 0, 0x0FA1)) {
+        } else if (f->can_id != 0xA0) {
+            s->ignored++;
+        } else if (good(s, f, 0, 0x0FA1)) {
             struct sample *o = out + written++ % room;
             int32_t raw;
             memcpy(&raw, f->data + 2, 4);
             double rate = raw * 1e-6, correction = 0;
             uint32_t flags = s->marks;
             s->marks = 0;
+            if (s->t_rate != INT64_MIN) {
+                if (f->t_ns < s->t_rate) flags |= 64;
+                else if (f->t_ns - s->t_rate > GAP_NS) flags |= 1024;
+            }
+            s->t_rate = f->t_ns;
             if (fabs(rate) >= 400.0) flags |= 16;
             if (f->data[1] >> 4) flags |= 512;
             if (isnan(s->temp)) flags |= 1;
             else {
-                if (f->t_ns - s->t_temp > 2000000000) flags |= 2;
+                if (llabs(f->t_ns - s->t_temp) > MAX_AGE_NS) flags |= 2;
                 if (f->t_ns < s->settled_at) flags |= 8;
                 correction = predict(s, m, rate, &flags);
             }
             *o = (struct sample){f->t_ns, 0, s->seq++, rate, rate - correction, correction, s->temp, m->sigma,
                                  isnan(s->temp) ? NAN : (f->t_ns - s->t_temp) * 1e-9, flags, NAN};
+            s->samples++;
+            for (; flags; flags &= flags - 1) s->flag_counts[__builtin_ctz(flags)]++;
         }
     }
     return written;

@@ -1,0 +1,131 @@
+"""The error of each dynamic or static term for one rate; its thermal column is kept by `rtcomp.thermal`."""
+
+import math
+
+import numpy as np
+
+from rtcomp.compiled import TEMP
+from rtcomp.exponential import exp_falling
+from rtcomp.jit import hot_kernel
+from rtcomp.terms import (
+    AGEING,
+    ASYMMETRY,
+    BIAS,
+    BIAS_PLAY,
+    BIAS_T,
+    BIAS_WARMUP,
+    CUBIC,
+    EMPIRICAL,
+    LAG,
+    REF_DEGC,
+    RIPPLE,
+    SAWTOOTH,
+    SCALE,
+    SCALE_PLAY,
+    SCALE_RATE,
+    SCALE_T,
+    SCALE_WARMUP,
+    SHUPE,
+    UNIT,
+)
+from rtcomp.thermal import LAST_TEMP, clip
+
+
+@hot_kernel
+def term_error(c, s, ch, j, rate, w, t_s):
+    """Error [°/s] of term j from the measured rate and the true rate w, about [°/s], and the time since power-on t_s.
+
+    `s.terms[j, 0]` is the term's thermal column; a time below 0 is not known.
+    """
+    kind, p0, column = c.term_kind[j], c.term[j, 0], s.terms[j, 0]
+    if kind == LAG:
+        return (w * c.term[j, 1] + c.term[j, 2]) * column
+    if kind == SHUPE:
+        return column
+    if kind == BIAS_PLAY:
+        return c.term[j, 1] * column
+    if kind in (SCALE_PLAY, SCALE_RATE):
+        return w * c.term[j, 1] * column
+    if kind in (BIAS_T, SCALE_T, RIPPLE, SAWTOOTH, CUBIC):
+        return static_error(c, s, ch, j, w)
+    if kind == EMPIRICAL:
+        return empirical_error(c, s, ch, j, rate, w, t_s)
+    if kind == ASYMMETRY:
+        return p0 * abs(w)
+    if kind == SCALE:
+        return w * p0
+    if kind == BIAS:
+        return p0
+    if kind == UNIT:
+        return rate * (1.0 - 1.0 / p0)
+    return timed_error(c, j, w, t_s) if t_s >= 0.0 else 0.0
+
+
+@hot_kernel
+def timed_error(c, j, w, t_s):
+    """Terms in time since power-on."""
+    kind, p0 = c.term_kind[j], c.term[j, 0]
+    if kind == BIAS_WARMUP:
+        return p0 * exp_falling(-t_s / c.term[j, 1])
+    if kind == SCALE_WARMUP:
+        return w * p0 * exp_falling(-t_s / c.term[j, 1])
+    if kind == AGEING:
+        shape = p0 * t_s + c.term[j, 1] * math.sqrt(t_s) + c.term[j, 2] * math.log1p(t_s / c.term[j, 3])
+        return w * shape
+    return p0 * t_s  # DRIFT
+
+
+@hot_kernel
+def term_temperature(c, s, ch, j):
+    """The last temperature inside the validity of term j's model."""
+    g = c.term_group[j]
+    return clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
+
+
+@hot_kernel
+def static_error(c, s, ch, j, w):
+    """Terms that depend on the present temperature and rate only."""
+    kind, p0, p1, p2 = c.term_kind[j], c.term[j, 0], c.term[j, 1], c.term[j, 2]
+    if kind == CUBIC:
+        warm = p2 * (term_temperature(c, s, ch, j) - REF_DEGC) if p2 != 0.0 else 0.0
+        return w * w * w * (p0 + p1 * w * w + warm)
+    h = term_temperature(c, s, ch, j) - REF_DEGC
+    if kind == RIPPLE:
+        phi = 2.0 * math.pi * (h + c.term[j, 3] * h * h) / p0
+        return p1 * math.cos(phi) + p2 * math.sin(phi)
+    if kind == SAWTOOTH:
+        phase = (h - p2) / p0
+        return p1 * (2.0 * (phase - math.floor(phase)) - 1.0)
+    polynomial = h * (p0 + h * (p1 + h * p2))
+    return w * polynomial if kind == SCALE_T else polynomial
+
+
+@hot_kernel
+def empirical_error(c, s, ch, j, rate, w, t_s):
+    """Piecewise linear in one driver, held outside its knots."""
+    driver, offset, count = int(c.term[j, 0]), int(c.term[j, 1]), int(c.term[j, 2])
+    if driver == 0:
+        value = term_temperature(c, s, ch, j)
+    elif driver == 1:
+        value = s.terms[j, 0]
+    elif driver == 2:
+        value = rate
+    elif t_s >= 0.0:
+        value = t_s
+    else:
+        return 0.0
+    knots, values = c.table[offset : offset + count], c.table[offset + count : offset + 2 * count]
+    return interpolate(value, knots, values) * (w if c.term[j, 3] != 0.0 else 1.0)
+
+
+@hot_kernel
+def interpolate(value, knots, values):
+    """Linear interpolation, the end values held outside."""
+    last = knots.shape[0] - 1
+    if value <= knots[0]:
+        return values[0]
+    if value >= knots[last]:
+        return values[last]
+    k = np.searchsorted(knots, value, side="right") - 1
+    share = (value - knots[k]) / (knots[k + 1] - knots[k])
+    return values[k] + share * (values[k + 1] - values[k])
