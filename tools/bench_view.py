@@ -259,7 +259,7 @@ def _percentile(latencies: np.ndarray, span: tuple[int, int], percentile: int) -
 @click.option("--pairs", default=12, show_default=True, help="Interleaved pairs; 0 leaves them out.")
 @click.option("--seconds", default=6.0, show_default=True, help="Length of one half of a pair.")
 @click.option("--minutes", default=2.0, show_default=True, help="Length of the long view; 0 leaves it out.")
-@click.option("--memory-limit", default="512MiB", show_default=True, help="The viewer's memory limit.")
+@click.option("--memory-limit", default="256MiB", show_default=True, help="The viewer's memory limit.")
 @click.option("--window", is_flag=True, help="Long view in the native window (needs a display).")
 @click.option("--nobody", is_flag=True, help="Pairs without any viewer.")
 @click.option(

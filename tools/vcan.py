@@ -259,6 +259,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("command", nargs="+", help="after --")
     arguments = parser.parse_args(words)
     arguments.warm_up = [WARM_UP] if arguments.warm_up is None else list(filter(None, arguments.warm_up))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the guest ends with us
     try:
         if not arguments.guest and host_has_vcan():
             return subprocess.run(arguments.command, check=False, cwd=CHECKOUT).returncode

@@ -14,9 +14,9 @@ import click
 @click.option("--prefix", default="rtcomp", show_default=True, help="First part of every key.")
 @click.option(
     "--memory-limit",
-    default="512MiB",
+    default="256MiB",
     show_default=True,
-    help="What the viewer may hold; the oldest data go first.",
+    help="Data that rerun may hold, the oldest go first; its process takes about twice that.",
 )
 @click.option(
     "--bind", default="127.0.0.1", show_default=True, help="Address on which viewer and web server listen."

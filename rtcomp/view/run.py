@@ -42,7 +42,7 @@ class ViewConfig:
     save: str | None = None
     zenoh: str | None = None
     prefix: str = "rtcomp"
-    memory_limit: str = "512MiB"
+    memory_limit: str = "256MiB"
     bind: str = "127.0.0.1"
     port: int = 9090
     window_s: float = 30.0

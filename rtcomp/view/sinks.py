@@ -19,7 +19,7 @@ from rtcomp.view.page import serve_page
 from rtcomp.view.rerun_sdk import APPLICATION, load_rerun, quiet_environment, rerun_program
 
 LOOPBACK = "127.0.0.1"
-MEMORY_LIMIT = "512MiB"
+MEMORY_LIMIT = "256MiB"
 WEB_PORT = 9090
 READY_S = 15.0
 LIVE_ROWS = 1000  # rows per channel and batch of 0.1 s that a screen is given at most
@@ -71,7 +71,7 @@ def open_sink(
         save: an .rrd file, written whole or not at all.
         bind: address on which viewer and web server listen.
         web_port: port of the web page.
-        memory_limit: what the viewer may hold before it drops its oldest data (`512MiB`, `25%`).
+        memory_limit: what the viewer may hold before it drops its oldest data (`256MiB`, `25%`).
         name: the recording's name in the viewer.
 
     Raises:
