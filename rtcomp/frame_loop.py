@@ -9,7 +9,7 @@ import numpy as np
 from rtcomp.decode import physical_value
 from rtcomp.frame_checks import check_frame, find_message
 from rtcomp.frames import CAN_ERR_CRTL, CAN_ERR_CRTL_RX_OVERFLOW, Flag, FrameFlag
-from rtcomp.jit import hot_kernel, kernel
+from rtcomp.jit import hot_kernel, kernel, rare_kernel
 from rtcomp.loop_state import (
     CLOCK_STEPS,
     ERROR_FRAME,
@@ -86,7 +86,7 @@ def take_frame(plan, c, s, loop, frames, words, i, found, out, written):
     return take_message(plan, c, s, loop, frames, words, i, m, out, written)
 
 
-@hot_kernel
+@rare_kernel
 def take_error_frame(loop, frames, i):
     """The receiver's own events, and what the controller reports: nothing of it is data, all of it marks."""
     if frames[i]["can_id"] == 0:

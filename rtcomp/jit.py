@@ -26,6 +26,12 @@ def hot_kernel(function: Any) -> Any:
     return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
 
 
+def rare_kernel(function: Any) -> Any:
+    """Compile a function of the same way that few frames take: called and not copied, which keeps the others short."""
+    options: dict[str, Any] = {"_nrt": False}
+    return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+
+
 def sum_kernel(function: Any) -> Any:
     """Compile a sum over many samples at a desk: its terms may be added in any order, many at a time.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtcomp.compiled import NO_BASE, RATE, SINE, TEMP
 from rtcomp.frames import Flag
-from rtcomp.jit import hot_kernel
+from rtcomp.jit import hot_kernel, rare_kernel
 from rtcomp.rule_errors import EXTRAPOLATING, add_rules, input_flags, rules_error
 from rtcomp.term_errors import term_error
 from rtcomp.terms import BIAS_PLAY, SCALE_PLAY
@@ -57,7 +57,7 @@ def predict_error(c, s, ch, t_ns, rate):
         inside = clip(rate, c.validity[g, RATE, 0], c.validity[g, RATE, 1])
         flags |= outside | (EXTRAPOLATING if inside != rate else 0)
         if c.base_kind[g] != NO_BASE:
-            total += base_error(c, g, warm, inside)
+            total += base_error(c.base_kind[g], c.base[g], c.table, warm, inside)
         if c.rule_start[g] != c.rule_start[g + ONE]:
             total += rules_error(c, s, ch, g, warm, inside, max(t_s, 0.0))
             flags |= input_flags(c, s, ch, g, max(t_s, 0.0))
@@ -83,7 +83,7 @@ def predict_rows(c, s, rows, ch, count):
         warm = enter_validity(c, s, rows, ch, g, count)
         if c.base_kind[g] != NO_BASE:
             for k in range(count):
-                rows.error[k] += base_error(c, g, warm, rows.inside[k])
+                rows.error[k] += base_error(c.base_kind[g], c.base[g], c.table, warm, rows.inside[k])
         add_rules(c, s, rows, ch, g, warm, count)
     for k in range(count):
         rows.inside[k] = rows.rate[k] - rows.error[k]
@@ -142,21 +142,21 @@ def clipped_temperature(c, s, ch, g):
     return warm, (EXTRAPOLATING if warm != temp and c.needs[ch, 0] else 0)
 
 
-@hot_kernel
-def base_error(c, g, temp, rate):
-    """The physical surface under the rules of group g."""
-    if c.base_kind[g] == SINE:
-        h = temp - c.base[g, 5]
-        gain = 1.0 + c.base[g, 2] + h * (c.base[g, 3] + h * c.base[g, 4])
-        sine = clip(rate * DEG * c.base[g, 0] / gain, -1.0, 1.0)
-        return rate - math.asin(sine) / (c.base[g, 0] * (1.0 + c.base[g, 1] * h)) / DEG
-    h = temp - c.base[g, 0]
-    offset, rows, columns = int(c.base[g, 1]), int(c.base[g, 2]), int(c.base[g, 3])
+@rare_kernel
+def base_error(kind, p, table, temp, rate):
+    """The physical surface under the rules of a group; `p` are its parameters."""
+    if kind == SINE:
+        h = temp - p[5]
+        gain = 1.0 + p[2] + h * (p[3] + h * p[4])
+        sine = clip(rate * DEG * p[0] / gain, -1.0, 1.0)
+        return rate - math.asin(sine) / (p[0] * (1.0 + p[1] * h)) / DEG
+    h = temp - p[0]
+    offset, rows, columns = int(p[1]), int(p[2]), int(p[3])
     total = 0.0
     for i in range(rows - 1, -1, -1):
         row = 0.0
         for j in range(columns - 1, -1, -1):
-            row = row * rate + c.table[offset + i * columns + j]
+            row = row * rate + table[offset + i * columns + j]
         total = total * h + row
     return total
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from rtcomp.compiled import TEMP
 from rtcomp.exponential import exp_falling
-from rtcomp.jit import hot_kernel
+from rtcomp.jit import hot_kernel, rare_kernel
 from rtcomp.terms import (
     AGEING,
     ASYMMETRY,
@@ -47,9 +47,9 @@ def term_error(c, s, ch, j, rate, w, t_s):
     if kind in (SCALE_PLAY, SCALE_RATE):
         return w * c.term[j, 1] * column
     if kind in (BIAS_T, SCALE_T, RIPPLE, SAWTOOTH, CUBIC):
-        return static_error(c, s, ch, j, w)
+        return static_error(kind, c.term[j], term_temperature(c, s, ch, j), w)
     if kind == EMPIRICAL:
-        return empirical_error(c, s, ch, j, rate, w, t_s)
+        return empirical_error(c.term[j], c.table, term_temperature(c, s, ch, j), column, rate, w, t_s)
     if kind == ASYMMETRY:
         return p0 * abs(w)
     if kind == SCALE:
@@ -58,21 +58,19 @@ def term_error(c, s, ch, j, rate, w, t_s):
         return p0
     if kind == UNIT:
         return rate * (1.0 - 1.0 / p0)
-    return timed_error(c, j, w, t_s) if t_s >= 0.0 else 0.0
+    return timed_error(kind, c.term[j], w, t_s) if t_s >= 0.0 else 0.0
 
 
-@hot_kernel
-def timed_error(c, j, w, t_s):
-    """Terms in time since power-on."""
-    kind, p0 = c.term_kind[j], c.term[j, 0]
+@rare_kernel
+def timed_error(kind, p, w, t_s):
+    """Terms in time since power-on; `p` are the parameters."""
     if kind == BIAS_WARMUP:
-        return p0 * exp_falling(-t_s / c.term[j, 1])
+        return p[0] * exp_falling(-t_s / p[1])
     if kind == SCALE_WARMUP:
-        return w * p0 * exp_falling(-t_s / c.term[j, 1])
+        return w * p[0] * exp_falling(-t_s / p[1])
     if kind == AGEING:
-        shape = p0 * t_s + c.term[j, 1] * math.sqrt(t_s) + c.term[j, 2] * math.log1p(t_s / c.term[j, 3])
-        return w * shape
-    return p0 * t_s  # DRIFT
+        return w * (p[0] * t_s + p[1] * math.sqrt(t_s) + p[2] * math.log1p(t_s / p[3]))
+    return p[0] * t_s  # DRIFT
 
 
 @hot_kernel
@@ -82,40 +80,39 @@ def term_temperature(c, s, ch, j):
     return clip(s.values[ch, LAST_TEMP], c.validity[g, TEMP, 0], c.validity[g, TEMP, 1])
 
 
-@hot_kernel
-def static_error(c, s, ch, j, w):
+@rare_kernel
+def static_error(kind, p, temp, w):
     """Terms that depend on the present temperature and rate only."""
-    kind, p0, p1, p2 = c.term_kind[j], c.term[j, 0], c.term[j, 1], c.term[j, 2]
     if kind == CUBIC:
-        warm = p2 * (term_temperature(c, s, ch, j) - REF_DEGC) if p2 != 0.0 else 0.0
-        return w * w * w * (p0 + p1 * w * w + warm)
-    h = term_temperature(c, s, ch, j) - REF_DEGC
+        warm = p[2] * (temp - REF_DEGC) if p[2] != 0.0 else 0.0
+        return w * w * w * (p[0] + p[1] * w * w + warm)
+    h = temp - REF_DEGC
     if kind == RIPPLE:
-        phi = 2.0 * math.pi * (h + c.term[j, 3] * h * h) / p0
-        return p1 * math.cos(phi) + p2 * math.sin(phi)
+        phi = 2.0 * math.pi * (h + p[3] * h * h) / p[0]
+        return p[1] * math.cos(phi) + p[2] * math.sin(phi)
     if kind == SAWTOOTH:
-        phase = (h - p2) / p0
-        return p1 * (2.0 * (phase - math.floor(phase)) - 1.0)
-    polynomial = h * (p0 + h * (p1 + h * p2))
+        phase = (h - p[2]) / p[0]
+        return p[1] * (2.0 * (phase - math.floor(phase)) - 1.0)
+    polynomial = h * (p[0] + h * (p[1] + h * p[2]))
     return w * polynomial if kind == SCALE_T else polynomial
 
 
-@hot_kernel
-def empirical_error(c, s, ch, j, rate, w, t_s):
+@rare_kernel
+def empirical_error(p, table, temp, column, rate, w, t_s):
     """Piecewise linear in one driver, held outside its knots."""
-    driver, offset, count = int(c.term[j, 0]), int(c.term[j, 1]), int(c.term[j, 2])
+    driver, offset, count = int(p[0]), int(p[1]), int(p[2])
     if driver == 0:
-        value = term_temperature(c, s, ch, j)
+        value = temp
     elif driver == 1:
-        value = s.terms[j, 0]
+        value = column
     elif driver == 2:
         value = rate
     elif t_s >= 0.0:
         value = t_s
     else:
         return 0.0
-    knots, values = c.table[offset : offset + count], c.table[offset + count : offset + 2 * count]
-    return interpolate(value, knots, values) * (w if c.term[j, 3] != 0.0 else 1.0)
+    knots, values = table[offset : offset + count], table[offset + count : offset + 2 * count]
+    return interpolate(value, knots, values) * (w if p[3] != 0.0 else 1.0)
 
 
 @hot_kernel

@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcomp.compiled import TEMP, TERM_STATES, Compiled
 from rtcomp.exponential import exp_falling
-from rtcomp.jit import hot_kernel
+from rtcomp.jit import hot_kernel, rare_kernel
 from rtcomp.terms import BIAS_PLAY, EMPIRICAL, LAG, SCALE_PLAY, SCALE_RATE, SHUPE
 
 GAP_S = 60.0  # longer without a temperature, and what happened between is no longer known
@@ -58,14 +58,14 @@ def clip(value, low, high):
     return min(max(value, low), high)
 
 
-@hot_kernel
+@rare_kernel
 def low_pass(y, x0, x1, dt, tau):
     """First-order low pass over `dt` for an input that goes linearly from x0 to x1 (exact)."""
     lag = (x1 - x0) / dt * tau
     return x1 - lag + (y - x0 + lag) * exp_falling(-dt / tau)
 
 
-@hot_kernel
+@rare_kernel
 def thermal_update(c, s, ch, t_ns, temp, coil):
     """Take in a temperature [°C] (and the coil's, NaN when there is none) received at t_ns."""
     first = s.times[ch, T_THERMAL] == NEVER
