@@ -179,8 +179,13 @@ def _background(power: FloatArray) -> FloatArray:
     return np.interp(np.arange(len(power)), (np.arange(blocks) + 0.5) * size, np.maximum(level, 1e-300))
 
 
-def quantization_finding(rate: FloatArray, residual: FloatArray, valid: np.ndarray) -> FastFinding | None:
-    """A least significant bit so coarse that the error is a staircase of the rate instead of noise."""
+def quantization_finding(
+    rate: FloatArray, residual: FloatArray, valid: np.ndarray, reference_dps: float = 0.0
+) -> FastFinding | None:
+    """A least significant bit so coarse that the error is a staircase of the rate instead of noise.
+
+    `reference_dps` is the reference's own noise, which the residual has beside the gyro's.
+    """
     codes = np.unique(rate[valid])
     if len(codes) < 3 or len(codes) > 0.2 * valid.sum():
         return None
@@ -192,6 +197,7 @@ def quantization_finding(rate: FloatArray, residual: FloatArray, valid: np.ndarr
     differences = np.diff(residual[valid])
     spread = 1.4826 * float(np.median(np.abs(differences - np.median(differences)))) / np.sqrt(2.0)
     total = float(np.std(differences)) / np.sqrt(2.0)
+    spread, total = (float(np.sqrt(max(v * v - reference_dps**2, 0.0))) for v in (spread, total))
     expected = lsb / np.sqrt(12.0)
     other = float(np.sqrt(max(total**2 - expected**2, 0.0)))
     if expected < 0.8 * min(total, max(spread, expected)) or other > lsb / LSB_TO_NOISE:

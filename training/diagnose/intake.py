@@ -89,7 +89,7 @@ def take_in(
     found = align(columns, filled, ref, valid, clear) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
     tested = clear(left) if found.effects else quick
-    quantized = quantization_finding(columns["rate_dps"], left, valid)
+    quantized = quantization_finding(columns["rate_dps"], left, valid, smoothed.noise_dps)
     line = line_finding(tested, found.moved, t, valid)
     fast = [f for f in (quantized, line) if f is not None]
     variance = VarianceModel() if quantized is not None else variance_model(tested, found.moved, t, valid)
@@ -126,7 +126,9 @@ def fast_findings(intake: Intake, wave: FloatArray) -> list[FastFinding]:
     quick, _ = cleared(left, columns["t_s"], truth, columns.get("temp_degC"), valid)
     tested = without_orders(quick, truth, columns, valid)
     found = (
-        quantization_finding(columns["rate_dps"], left, valid),
+        quantization_finding(
+            columns["rate_dps"], left, valid, intake.reference.noise_dps if intake.reference else 0.0
+        ),
         line_finding(tested, rate, columns["t_s"], valid),
         variance_model(tested, rate, columns["t_s"], valid).finding,
     )
