@@ -42,6 +42,7 @@ def test_a_strong_static_slope_of_a_hysteresis_is_an_effect_of_its_own():
     assert {"bias_temperature", "bias_hysteresis"} <= names(diagnose(recording(41, both, static=True)))
 
 
+@pytest.mark.slow
 def test_zeros_taken_at_stops_are_auto_zero():
     t, _, _ = profile()
     speed = np.where((t % 900.0) < 60.0, 0.0, 12.0)
@@ -53,6 +54,7 @@ def test_zeros_taken_at_stops_are_auto_zero():
     assert first.effect == "auto_zero"
 
 
+@pytest.mark.slow
 def test_many_periods_a_turn_are_unknown_and_driven_by_the_heading():
     def poles(t, w, temp):
         return 2e-3 * np.sin(np.deg2rad(7.0 * heading(t, w)))
@@ -69,6 +71,7 @@ def test_a_tooth_error_of_the_axis_is_neither_noise_nor_a_line():
     assert [(f.effect, f.driver) for f in found.findings] == [("unknown", "rate_times_heading")]
 
 
+@pytest.mark.slow
 def test_a_beat_in_time_is_unknown_and_driven_by_time():
     first = diagnose(
         recording(45, lambda t, w, temp: 3e-3 * np.sign(np.sin(2 * np.pi * t / 470.0)))
@@ -76,6 +79,7 @@ def test_a_beat_in_time_is_unknown_and_driven_by_time():
     assert (first.effect, first.driver) == ("unknown", "time")
 
 
+@pytest.mark.slow
 def test_a_resonance_in_temperature_is_unknown_and_driven_by_temperature():
     def line(t, w, temp):
         x = (temp - 20.0) / 1.5
@@ -85,6 +89,7 @@ def test_a_resonance_in_temperature_is_unknown_and_driven_by_temperature():
     assert (first.effect, first.driver) == ("unknown", "temperature")
 
 
+@pytest.mark.slow
 def test_once_a_turn_may_be_the_field_or_the_earth():
     def field(t, w, temp):
         return 2e-3 * np.cos(np.deg2rad(heading(t, w)))
@@ -97,6 +102,7 @@ def test_once_a_turn_may_be_the_field_or_the_earth():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["timestamp_skew", "clock_drift"])
 def test_timing_learnt_on_one_recording_is_applied_to_another_and_not_fitted_there(kind):
     t, rate, _ = profile()

@@ -101,6 +101,7 @@ def points_of(group, found: Analysis):
     return [points[len(points) // 2] for points in kinds.values()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", CAUSAL, ids=lambda g: g.effect)
 def test_an_effect_corrects_on_the_bus_what_its_proof_predicts(group, tmp_path):
     blank, _ = analysis_of(np.zeros(len(profile()[0])))
@@ -120,6 +121,7 @@ def test_an_effect_corrects_on_the_bus_what_its_proof_predicts(group, tmp_path):
         agree(folder, unseen, SHARES.get(group.effect, 0.02))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", UNKNOWN_DRIVERS)
 def test_the_unnamed_corrects_on_the_bus_what_its_proof_predicts(driver, tmp_path):
     blank, _ = analysis_of(np.zeros(len(profile()[0])))

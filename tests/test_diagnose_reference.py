@@ -75,7 +75,7 @@ def test_harmonics_of_the_heading_are_taken_out_and_noise_is_not():
     np.testing.assert_array_equal(without_orders(noise, rate, columns, every), noise)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_a_noisy_reference_alone_is_no_finding(seed):
     from training.diagnose.pipeline import analyse
     from training.diagnose.verdict import conclude
