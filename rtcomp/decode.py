@@ -7,7 +7,7 @@ Any signal of 1…64 bits in 64 bytes: its lowest bit lies in byte `byte` at `sh
 import numpy as np
 
 from rtcomp.frames import FRAME
-from rtcomp.jit import hot_kernel
+from rtcomp.jit import hot_kernel, rare_kernel
 
 UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 
@@ -91,7 +91,7 @@ def signed_value(raw, bits):
     return np.int64(raw << spare) >> np.int64(spare)
 
 
-@hot_kernel
+@rare_kernel
 def float_value(raw, bits, scratch):
     """IEEE 754 of 16, 32 or 64 bits; `scratch` is one row of 8 bytes."""
     for k in range(8):
@@ -131,7 +131,7 @@ def scaled_value(raw, signal, scratch):
     return np.float64(value) * signal["scale"] + signal["offset"]
 
 
-@hot_kernel
+@rare_kernel
 def is_selected(words, data, row, signals, index, mux_ranges):
     """Whether signal `index` is there in this payload: every multiplexer above it has a value that selects it."""
     current = np.uint64(index)

@@ -12,7 +12,7 @@ from rtcomp.frames import Flag
 from rtcomp.jit import hot_kernel, rare_kernel
 from rtcomp.thermal import LAST_COIL, ONE, clip
 
-FIRST, FEW = 1, 2  # columns: the rate comes before; more than two are seldom
+FIRST, FEW = np.int64(1), np.int64(2)  # columns: the rate comes before; more than two are seldom
 UNDERFLOW = 1e-250  # below, quotients of firing strengths lose digits
 EXTRAPOLATING = int(Flag.EXTRAPOLATING)
 

@@ -117,7 +117,7 @@ def correct_waiting(c, s, loop, rows, out, written):
 @hot_kernel
 def correct_channel(c, s, rows, ch, out, first, written):
     """Of these samples those of one channel: gathered, predicted together, and put back."""
-    count = 0
+    count = np.int64(0)  # of one type from the start: a literal 0 would be compiled for by itself
     for row in range(first, written):
         if out.channel[row] == ch:
             rows.t_ns[count] = out.corrected[row]["t_ns"]
