@@ -10,10 +10,10 @@ import numpy as np
 
 from rtcomp.decode import frame_words
 from rtcomp.frame_loop import run_loop
-from rtcomp.frames import CORRECTED
 from rtcomp.jit import kernel
 from rtcomp.pipeline import Pipeline
 from rtcomp.sample_queue import LOST, WORDS, SampleRing, push
+from rtcomp.samples import new_output
 from rtcomp.sources.batch_receive import (
     LAST_BATCH,
     LAST_TIME,
@@ -23,6 +23,7 @@ from rtcomp.sources.batch_receive import (
     monotonic_ns,
     receive_batch,
 )
+from rtcomp.step import new_rows
 
 MILLI = 1_000_000
 OUT = 1024  # samples corrected before they are handed over
@@ -35,17 +36,17 @@ class LiveLoop:
         """`each_batch` comes back after every batch of frames, for whoever wants to keep them."""
         self.pipeline, self.ring, self.each_batch = pipeline, ring, each_batch
         self.last_t_ns = 0  # of the last frame taken
-        self._out = np.zeros(OUT + len(pipeline.names), CORRECTED)
-        self._out_words = self._out.view(np.uint32).reshape(-1, WORDS)
-        self._channel = np.zeros(len(self._out), np.uint8)
+        self._out = new_output(OUT + len(pipeline.names))
+        self._out_words = self._out.corrected.view(np.uint32).reshape(-1, WORDS)
+        self._rows = new_rows()
 
     def __call__(self, space: Workspace, timeout_ms: int) -> int:
         """Go on for `timeout_ms`, or until there is something for Python; what the last `receive_batch` returned."""
         pipeline, ring = self.pipeline, self.ring
         result = receive_and_correct(
             (space.words, space.address, space.frame_words, space.frames, frame_words(space.frames)),
-            (pipeline.map.plan, pipeline.compiled, pipeline.state, pipeline.loop),
-            (self._out, self._out_words, self._channel),
+            (pipeline.map.plan, pipeline.compiled, pipeline.state, pipeline.loop, self._rows),
+            (self._out, self._out_words),
             (ring.words, ring.address, ring.sample_words, ring.channel, ring.times),
             timeout_ms,
             self.each_batch,
@@ -75,16 +76,16 @@ def receive_and_correct(space, correction, out, ring, timeout_ms, each_batch):
 def correct_rows(space, correction, out, ring, rows):
     """Correct the first `rows` frames and hand their samples over; those without room are lost and counted."""
     words, address, _, frames, words_of_frames = space
-    plan, compiled, state, loop = correction
-    samples, sample_words, channel = out
+    plan, compiled, state, loop, waiting = correction
+    samples, sample_words = out
     ring_words, ring_address, to_words, to_channel, to_times = ring
     received, done = words[LAST_BATCH], 0
     while done < rows:
         done, count = run_loop(
-            plan, compiled, state, loop, frames[:rows], words_of_frames[:rows], done, samples, channel
+            plan, compiled, state, loop, waiting, frames[:rows], words_of_frames[:rows], done, samples
         )
         if count > 0:
             corrected = monotonic_ns(words, address) + words[OFFSET]
             if not push(ring_words, ring_address, to_words, to_channel, to_times,
-                        sample_words, channel, count, received, corrected):  # fmt: skip
+                        sample_words, samples.channel, count, received, corrected):  # fmt: skip
                 ring_words[LOST] += count
