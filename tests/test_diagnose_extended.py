@@ -121,6 +121,7 @@ def test_an_effect_corrects_on_the_bus_what_its_proof_predicts(group, tmp_path):
         agree(folder, unseen, SHARES.get(group.effect, 0.02))
 
 
+# Of the rate: on levels that stand apart a function is known on the levels, and the bus reads the rate with its error.
 @pytest.mark.slow
 @pytest.mark.parametrize("driver", UNKNOWN_DRIVERS)
 def test_the_unnamed_corrects_on_the_bus_what_its_proof_predicts(driver, tmp_path):
@@ -139,7 +140,7 @@ def test_the_unnamed_corrects_on_the_bus_what_its_proof_predicts(driver, tmp_pat
         assert diagnosis.fit.improvement > 0.5
         [term] = load_model(folder / "extended.json").terms
         assert term.effect == "unknown"
-        agree(folder, unseen, 0.35 if driver in SLOPE else 0.05)
+        agree(folder, unseen, 0.35 if driver in SLOPE else 0.1 if driver == "rate" else 0.05)
 
 
 def test_wrong_coefficients_come_along_with_the_rest(tmp_path):

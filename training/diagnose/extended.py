@@ -13,7 +13,7 @@ import numpy as np
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.document import Diagnosis
-from training.diagnose.generic import HATS, VALUES, basis_of, grain_of, knots_of
+from training.diagnose.generic import VALUES, basis_of, grain_of
 from training.diagnose.library import ROOM_DEGC, Parameters
 from training.diagnose.measured import in_measured_rate
 from training.diagnose.naming import Part
@@ -151,7 +151,7 @@ def _unknown_term(analysis: Analysis) -> Term | None:
     works: list[Work] = [d.work for d in analysis.domains]
     pooled = np.concatenate([VALUES[unknown.driver][0](w) for w in works])
     point = unknown.part.points[0]
-    sets = {float(n): knots_of(pooled, n) for n in {*HATS, int(point["hats"])} if n > 1}
+    sets = unknown.part.group.knots
     knots = _corners(pooled, point, sets, curved=unknown.driver == "time_since_power_on")
     values = np.stack(basis_of(knots, sets, point), axis=1) @ beta
     if unknown.driver == "time_since_power_on":

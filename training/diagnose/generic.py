@@ -57,6 +57,7 @@ TRANSITION_WIDTHS = (0.012, 0.03, 0.08)  # shares of the driver's range
 BUMP_WIDTHS = (0.013, 0.03, 0.07)
 MOST_CYCLES = 24.0  # over the driver's range; finer waves are beyond what a driver is known to
 CYCLE_STEP = 0.5
+LEAST_SUPPORT = 0.05  # of an even share of the values, below which a corner is left out
 HARMONICS = {"time": 2.0}  # what switches on and off by a clock of its own is no sine
 ORDERS = range(1, 13)
 CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
@@ -66,10 +67,18 @@ CYCLIC: dict[str, tuple[str, frozenset[str]]] = {
 
 
 def knots_of(values: FloatArray, count: int) -> FloatArray:
-    """Corners: half by rank, half by range, so that neither crowded nor rare values are without one."""
+    """Corners: half by rank, half by range, so that neither crowded nor rare values are without one.
+
+    A corner that next to no value is near is left out: between levels that stand apart nothing is known, and a value
+    there would be made of the noise on them.
+    """
     ranks = np.quantile(values, np.linspace(0.0, 1.0, count))
-    span = np.linspace(ranks[0], ranks[-1], count)
-    return 0.5 * (ranks + span)
+    knots = np.unique(0.5 * (ranks + np.linspace(ranks[0], ranks[-1], count)))
+    if len(knots) < 3:
+        return knots
+    near = np.asarray([np.interp(values, knots, row).sum() for row in np.eye(len(knots))])
+    near[[0, -1]] = np.inf
+    return knots[near > LEAST_SUPPORT * len(values) / len(knots)]
 
 
 def hats(values: FloatArray, knots: FloatArray) -> list[FloatArray]:
@@ -112,7 +121,7 @@ def _hat_group(
         return [(f"value_{i}", unit) for i in range(1, count + 1)]
 
     variants = [{"hats": n} for n in sets] + _shapes(driver, sets)
-    return Group(driver, lambda survey: variants, columns, names, needs)
+    return Group(driver, lambda survey: variants, columns, names, needs, knots=sets)
 
 
 def width_of(parameters: Parameters) -> int:

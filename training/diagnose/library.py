@@ -1,7 +1,7 @@
 """What a regressor group is, what the recordings excite, and the two operators with memory (lag and play)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,8 @@ class Group:
     """One effect as columns.
 
     `grid(survey)` lists the non-linear parameters to try; `columns(work, parameters)` gives the list of columns
-    [dps per unit coefficient]; `linear(parameters)` names and units of the coefficients, one per column.
+    [dps per unit coefficient]; `linear(parameters)` names and units of the coefficients, one per column; `knots`
+    [driver units] are the corners of a basis without a name, by how many were asked for.
     """
 
     effect: str
@@ -54,6 +55,7 @@ class Group:
     linear: Callable[[Parameters], Sequence[tuple[str, str]]]
     needs: frozenset[str] = frozenset()
     continuous: tuple[str, ...] = ()
+    knots: dict[float, FloatArray] = field(default_factory=dict)
 
 
 def low_pass(values: FloatArray, step_s: float, tau_s: float) -> FloatArray:
