@@ -21,7 +21,9 @@ from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, surrogate_nu
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
-REMAINDER_ALPHA = ALPHA
+REMAINDER_ALPHA = (
+    1e-4  # waves and resonances try many shapes: the surrogates' tail is known less well than for names
+)
 MUST_ADD = (
     0.3  # share of the remainder that the function must explain beyond what the name does, or the name stands
 )
