@@ -141,7 +141,7 @@ def take_message(plan, c, s, loop, frames, words, i, m, out, written):
     return written
 
 
-@rare_kernel
+@hot_kernel
 def take_slow(plan, c, s, loop, ch, role, t_ns, value):
     """A temperature or a reference: held, with its time."""
     if role != REFERENCE and not is_plausible(plan, c, s, loop, ch, role, t_ns, value):

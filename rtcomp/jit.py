@@ -27,7 +27,10 @@ def hot_kernel(function: Any) -> Any:
 
 
 def rare_kernel(function: Any) -> Any:
-    """Compile a function of the same way that few frames take: called and not copied, which keeps the others short."""
+    """Compile a function of the same way that few frames take: called and not copied, which keeps the others short.
+
+    Give it numbers and single arrays: a model or a state goes over field by field, which costs more than it saves.
+    """
     options: dict[str, Any] = {"_nrt": False}
     return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
 

@@ -9,7 +9,7 @@ import numpy as np
 from rtcomp.compiled import COIL, LAG_TEMP, TEMP, TEMP_RATE, TIME
 from rtcomp.exponential import exp_falling
 from rtcomp.frames import Flag
-from rtcomp.jit import hot_kernel, rare_kernel
+from rtcomp.jit import hot_kernel
 from rtcomp.thermal import LAST_COIL, ONE, clip
 
 FIRST, FEW = np.int64(1), np.int64(2)  # columns: the rate comes before; more than two are seldom
@@ -53,7 +53,7 @@ def cut_along_rate(c, s, ch, g, j, x, warm, t_s):
     return 0.5 * square, c.centers[j, 0], c.inverse_widths[j, 0], output, c.consequents[j, 1]
 
 
-@rare_kernel
+@hot_kernel
 def further_inputs(c, s, ch, g, j, warm, t_s):
     """Σz² and Σ a_k x_k of rule j over the inputs behind the first two."""
     square, output = 0.0, 0.0
@@ -104,7 +104,7 @@ def input_flags(c, s, ch, g, t_s):
     return further_flags(c, s, ch, g, t_s)
 
 
-@rare_kernel
+@hot_kernel
 def further_flags(c, s, ch, g, t_s):
     """The same for any inputs."""
     for i in range(1, c.group_size[g]):
@@ -128,7 +128,7 @@ def add_rules(c, s, rows, ch, g, warm, count):
     """Add the output of group g to the first `count` rows, and its flags."""
     if c.rule_start[g] == c.rule_start[g + ONE]:
         return
-    if takes_time(c, g) or not add_block(c, s, rows, ch, g, warm, count):
+    if count == 1 or takes_time(c, g) or not add_block(c, s, rows, ch, g, warm, count):
         for k in range(count):
             t_s = max(rows.t_s[k], 0.0)
             rows.error[k] += rules_error(c, s, ch, g, warm, rows.inside[k], t_s)

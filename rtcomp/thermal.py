@@ -65,7 +65,7 @@ def low_pass(y, x0, x1, dt, tau):
     return x1 - lag + (y - x0 + lag) * exp_falling(-dt / tau)
 
 
-@rare_kernel
+@hot_kernel
 def thermal_update(c, s, ch, t_ns, temp, coil):
     """Take in a temperature [°C] (and the coil's, NaN when there is none) received at t_ns."""
     first = s.times[ch, T_THERMAL] == NEVER
@@ -122,7 +122,7 @@ def thermal_column(kind, p, x, t0, t1, dt, first):
         x[0] = (t1 - x[1]) / p[4]
 
 
-@hot_kernel
+@rare_kernel
 def shupe_column(p, x, t0, t1, dt, first):
     """c1·LP_τ(u̇) + c2·d/dt LP_τ(u̇), u the temperature smoothed with p[3] (Mohr's integral with one time constant)."""
     if first:
