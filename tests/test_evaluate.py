@@ -11,7 +11,7 @@ from rtcomp.compensator import predict
 from rtcomp.errors import RequestError
 from rtcomp.model import Term, new_model, save_model
 from training.evaluate import evaluate
-from training.groups import groups_of, soaks
+from training.groups import blocks, groups_of, soaks
 from training.inputs import check
 from training.rest import allan, longest_rest
 from training.scores import median_interval, ratio_interval, rms_interval, score
@@ -91,6 +91,13 @@ def test_groups():
     assert (what, np.bincount(groups).tolist()) == ("recording", [100, 50])
     groups, what = groups_of([drive().recording])
     assert (what, len(np.unique(groups))) == ("block", 20)
+    assert np.ptp(np.bincount(groups)) <= 1
+    late = drive()
+    late.recording.columns["t_s"] = late.recording["t_s"] + np.random.default_rng(1).exponential(
+        0.05, len(late.recording)
+    )
+    assert np.array_equal(groups_of([late.recording])[0], groups), "another jitter, other blocks"
+    assert blocks(3).tolist() == [0, 1, 2]
 
 
 def test_residual_table_covers_new_groups():

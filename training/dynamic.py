@@ -12,6 +12,7 @@ import numpy as np
 
 from rtcomp.model import Model, Term
 from training.build import ts_model
+from training.groups import BLOCKS, blocks
 from training.inputs import ROTATING_DPS, Checked, input_columns, lagged
 from training.refine import Antecedents, refine
 from training.regressors import regressors
@@ -21,7 +22,6 @@ from training.ts import REFINE_ROWS, Scaling, TsFit, TsOptions, fit
 SHORTEST_S = 20.0
 LONGEST = 1 / 3  # of the training rows' duration: a longer time constant looks like a drift
 POINTS = 24
-BLOCKS = 20
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _gather(recordings: Sequence[Checked], masks: Sequence[np.ndarray], names: S
     pairs = list(zip(recordings, masks, strict=True))
     time = [r.recording["t_s"][mask] for r, mask in pairs]
     many = len(pairs) > 1 and len(pairs) >= BLOCKS // 2
-    block = [np.full(len(t), k) if many else k * BLOCKS + _blocks(t) for k, t in enumerate(time)]
+    block = [np.full(len(t), k) if many else k * BLOCKS + blocks(len(t)) for k, t in enumerate(time)]
     return _Rows(
         np.concatenate([input_columns(r.recording, names)[mask] for r, mask in pairs]),
         np.concatenate([r.error_dps[mask] for r, mask in pairs]),
@@ -132,11 +132,6 @@ def _gather(recordings: Sequence[Checked], masks: Sequence[np.ndarray], names: S
         np.concatenate(time),
         np.concatenate(block),
     )
-
-
-def _blocks(t_s: np.ndarray) -> np.ndarray:
-    share = (t_s - t_s[0]) / max(float(np.ptp(t_s)), 1e-9)
-    return np.minimum((share * BLOCKS).astype(int), BLOCKS - 1)
 
 
 def _lag(

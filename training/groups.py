@@ -16,11 +16,20 @@ def soaks(temp_degC: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(steps)])
 
 
+def blocks(rows: int) -> np.ndarray:
+    """Index of the block of every row: BLOCKS runs of equal length (of fewer rows, as many as there are).
+
+    Counted in rows, not seconds: the same frames received with another jitter are the same blocks, so a model trained
+    from the bus is the model trained from the file.
+    """
+    return np.arange(rows) * BLOCKS // max(rows, 1) if rows >= BLOCKS else np.arange(rows)
+
+
 def groups_of(recordings: Sequence[Recording], whole: bool = False) -> tuple[np.ndarray, str]:
     """Group of every row of the recordings put end to end, and what a group is.
 
-    Several recordings: each is one group. One without time: its soaks. One over time: BLOCKS blocks of equal
-    duration. `whole` False lets several rate tables count by soak, too.
+    Several recordings: each is one group. One without time: its soaks. One over time: its `blocks`. `whole` False
+    lets several rate tables count by soak, too.
     """
     timed = any("t_s" in recording for recording in recordings)
     if len(recordings) > 1 and (whole or timed):
@@ -31,6 +40,4 @@ def groups_of(recordings: Sequence[Recording], whole: bool = False) -> tuple[np.
             parts.append(soaks(recording["temp_degC"]) + first)
             first = int(parts[-1][-1]) + 1
         return np.concatenate(parts), "soak"
-    t = recordings[0]["t_s"]
-    share = (t - t[0]) / max(float(t[-1] - t[0]), 1e-9)
-    return np.minimum((share * BLOCKS).astype(int), BLOCKS - 1), "block"
+    return blocks(len(recordings[0])), "block"
