@@ -163,6 +163,11 @@ def nonlinearity_names(p: Parameters) -> list[tuple[str, str]]:
     return {1: [c3], 2: [c3, c5], 3: [c3, c3h], 4: [c3, c5, c3h]}[int(p["order"])]
 
 
+WASHED_OUT = 1.5  # a dead band narrower than this many times the noise left in the rate cannot be seen
+NORMAL_NODES = [
+    (float(x), float(share / np.sqrt(2.0 * np.pi)))
+    for x, share in zip(*np.polynomial.hermite_e.hermegauss(9), strict=True)
+]
 DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
     0: lambda w, w0: -np.sign(w) * (np.abs(w) - np.sqrt(np.maximum(0.0, w * w - w0 * w0))),
     1: lambda w, w0: -w * (np.abs(w) < w0),
@@ -171,19 +176,25 @@ DEAD_SHAPES: dict[int, Callable[[FloatArray, float], FloatArray]] = {
 
 
 def dead_grid(survey: Survey) -> list[Parameters]:
-    """Widths clear of the reference noise, times three shapes."""
+    """Widths that the reference noise does not wash out, times three shapes."""
     low, high = (
-        max(1e-3, 2e-5 * survey.rate_max, CLEAR_OF_NOISE * survey.rate_noise_dps),
+        max(1e-3, 2e-5 * survey.rate_max, WASHED_OUT * survey.rate_noise_dps),
         min(3.0, 0.1 * survey.rate_max),
     )
-    widths = np.geomspace(low, high, 28) if low < 0.5 * high else []
+    widths = np.geomspace(low, high, 32) if low < 0.5 * high else []
     return [{"lock_dps": float(w0), "shape": float(s)} for s in DEAD_SHAPES for w0 in widths]
 
 
 def dead_band(work: Work, p: Parameters) -> list[FloatArray]:
-    """What a dead band of that width and shape takes away."""
-    shape = DEAD_SHAPES[int(p["shape"])]
-    return [work.per_block(lambda w: shape(w, p["lock_dps"]))]
+    """What a dead band of that width and shape takes away, on average over what the true rate can be.
+
+    The smoothed rate is the mean of the true one given the reference, which lies about it with the noise that is left:
+    a bend not much wider than that noise is found in the residual as round as the noise makes it (Berkson's error).
+    """
+    shape, width, noise = DEAD_SHAPES[int(p["shape"])], p["lock_dps"], work.rate_noise_dps
+    if width > CLEAR_OF_NOISE * noise:
+        return [work.per_block(lambda w: shape(w, width))]
+    return [work.per_block(lambda w: sum(share * shape(w + noise * x, width) for x, share in NORMAL_NODES))]
 
 
 def knee_grid(survey: Survey) -> list[Parameters]:

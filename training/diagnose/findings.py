@@ -14,6 +14,7 @@ from training.diagnose.document import (
 )
 from training.diagnose.intake import Intake
 from training.diagnose.intervals import Estimates, estimates
+from training.diagnose.likelihood import inverse
 from training.diagnose.naming import Model
 from training.diagnose.noise import noise_findings
 from training.diagnose.pipeline import Analysis
@@ -26,6 +27,7 @@ CERTAIN = 1e-12
 INTEGRITY = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error", "timing_jitter"})
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
+EARTH_SURE = 3.0  # standard errors above that, from which it is too large
 EARTH_DPS = 15.041 / 3600.0  # the most that the Earth's rotation can show, on a unit that lies flat
 
 
@@ -52,9 +54,7 @@ def _finding(name: str, others: Sequence[str], **rest: object) -> Finding:
 def findings_of(analysis: Analysis) -> list[Finding]:
     """All findings, strongest first."""
     found = [
-        *_integrity(analysis),
-        *_timing(analysis),
-        *_fast(analysis),
+        *early_findings(analysis),
         *_coefficients(analysis),
         *noise_findings(analysis),
     ]
@@ -64,6 +64,11 @@ def findings_of(analysis: Analysis) -> list[Finding]:
         timing = max((i.timing.change_rms_dps for i in analysis.intakes), default=0.0)
         found += [row] if row.rms_dps > TIMING_LEFT * timing else []
     return sorted(found, key=lambda f: -f.strength)
+
+
+def early_findings(analysis: Analysis) -> list[Finding]:
+    """What the stages before the slow physics found: frames, timing, single samples."""
+    return [*_integrity(analysis), *_timing(analysis), *_fast(analysis)]
 
 
 def _integrity(analysis: Analysis) -> list[Finding]:
@@ -224,9 +229,11 @@ def _physics(analysis: Analysis) -> list[Finding]:
 
 
 def _like_earth(point: dict[str, float], model: Model, where: slice) -> bool:
-    """One cycle per turn, small enough for a tilted unit in the Earth's rotation."""
-    beta = model.fit.beta[where]
-    return point["order"] < 1.5 and float(np.hypot(beta[0], beta[1])) < EARTH_DPS
+    """One cycle per turn and, within its error, small enough for a tilted unit in the Earth's rotation."""
+    if point["order"] > 1.5:
+        return False
+    beta, error = model.fit.beta[where], np.sqrt(np.diag(inverse(model.fit.information))[where])
+    return float(np.hypot(*beta)) - EARTH_SURE * float(np.max(error)) < EARTH_DPS
 
 
 def unknown_finding(analysis: Analysis, unknown: Unknown, model: Model) -> Finding:

@@ -22,7 +22,15 @@ from training.diagnose.prove import Proof, folded, placebo, predicted, prove
 from training.diagnose.search import Null, surrogate_null
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
-from training.diagnose.unknown import Located, Unknown, empirical, locate, unexplained
+from training.diagnose.unknown import (
+    Located,
+    Unknown,
+    empirical,
+    locate,
+    located_by_shape,
+    ranked,
+    unexplained,
+)
 from training.table import Recording
 
 logger = logging.getLogger(__name__)
@@ -114,7 +122,8 @@ def _search(analysis: Analysis, progress: Progress) -> None:
         )
     progress("locate")
     generic = Library(domains, [g for g in generic_groups(works) if g.needs <= found.has], found)
-    analysis.located, generic_null = locate(generic, domains, base, lead or base, settings.seed + 1)
+    by_function, generic_null = locate(generic, domains, base, lead or base, settings.seed + 1)
+    analysis.located = ranked([*by_function, *located_by_shape(library, base, null)])
     progress("name")
     names = partial(_names, library, null)
     model, analysis.demoted = names(domains)

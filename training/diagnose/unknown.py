@@ -18,6 +18,7 @@ from training.diagnose.naming import (
     score,
 )
 from training.diagnose.search import EXTRA_COLUMN, Candidate, Null, surrogate_null
+from training.effects.catalogue import effect
 
 GENERIC_SURROGATES = 40
 WITHDRAW_SHARE = 0.10
@@ -55,7 +56,7 @@ RATE_DRIVERS = frozenset(
 
 @dataclass
 class Located:
-    """One driver before naming: gain of any smooth function of it, and how often noise does as well."""
+    """One driver before naming: what its best function gains, and how often noise does as well."""
 
     driver: str
     gain: float
@@ -80,9 +81,33 @@ def locate(
 ) -> tuple[list[Located], Null]:
     """Rank drivers by what any smooth function of them explains of the null residual; `noise` has the noise's fit."""
     null = surrogate_null(generic, domains, noise.fit, seed, count=GENERIC_SURROGATES)
-    found = residual_scan(generic, base, null)
-    rows = [Located(d, max(c.statistic, 0.0), c.excess, null.p_value(c.excess)) for d, c in found.items()]
-    return sorted(rows, key=lambda row: -row.excess * (TIME_WEIGHT if row.driver in TIME_LIKE else 1.0)), null
+    return ranked([_located(d, c, null) for d, c in residual_scan(generic, base, null).items()]), null
+
+
+def located_by_shape(library: Library, base: Model, null: Null) -> list[Located]:
+    """The same for shapes that no smooth function of one driver has: steps, loops, a play, what a stop resets."""
+    found = residual_scan(library, base, null)
+    return [_located(effect(name).drivers[0], c, null) for name, c in found.items() if effect(name).drivers]
+
+
+def _located(driver: str, candidate: Candidate, null: Null) -> Located:
+    return Located(
+        driver,
+        max(candidate.statistic, 0.0),
+        candidate.excess,
+        min(2.0 * null.p_value(candidate.excess), 1.0),
+    )
+
+
+def ranked(rows: Sequence[Located]) -> list[Located]:
+    """Every driver once, by the best of its rows, strongest first."""
+    best: dict[str, Located] = {}
+    for row in rows:
+        if row.driver not in best or row.excess > best[row.driver].excess:
+            best[row.driver] = row
+    return sorted(
+        best.values(), key=lambda row: -row.excess * (TIME_WEIGHT if row.driver in TIME_LIKE else 1.0)
+    )
 
 
 def unexplained(

@@ -1,10 +1,11 @@
 """The verdict: the whole document of a finished analysis, and one sentence for a person."""
 
 from training.diagnose.document import Diagnosis, Driver, Finding, FitResult, RecordingNote, Remainder
-from training.diagnose.findings import BAD, alignments, findings_of, unknown_finding
+from training.diagnose.findings import BAD, alignments, early_findings, findings_of, unknown_finding
 from training.diagnose.noise import noise_note
 from training.diagnose.pipeline import Analysis
 from training.diagnose.prove import summary
+from training.diagnose.unknown import Located, ranked
 from training.diagnose.visible import not_excited, visible_from
 from training.effects.catalogue import effect
 
@@ -13,7 +14,7 @@ def conclude(analysis: Analysis) -> Diagnosis:
     """The document of a finished analysis."""
     findings = findings_of(analysis)
     verdict, sentence = _verdict(analysis, findings)
-    located = [r for r in analysis.located if r.gain > 0.0]
+    located = _located(analysis)
     top = max((r.gain for r in located), default=1.0)
     fit = (
         summary(analysis.proofs, bool(analysis.heldout), analysis.settings.seed)
@@ -38,6 +39,12 @@ def conclude(analysis: Analysis) -> Diagnosis:
         recordings=_notes(analysis),
         seed=analysis.settings.seed,
     )
+
+
+def _located(analysis: Analysis) -> list[Located]:
+    """Drivers of the residual as it came: those of frames, timing and single samples beside the slow ones."""
+    early = [Located(f.driver, f.strength, f.strength, f.p_value) for f in early_findings(analysis)]
+    return [row for row in ranked([*early, *analysis.located]) if row.gain > 0.0]
 
 
 def _no_fit() -> FitResult:
