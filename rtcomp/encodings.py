@@ -17,9 +17,9 @@ Encoder = Callable[[np.ndarray, str], Iterator[bytes]]
 
 def struct_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
     """The samples as they are: `CORRECTED`, packed, little-endian."""
-    view, size = np.ascontiguousarray(samples).view(np.uint8).data, CORRECTED.itemsize
-    for start in range(0, len(view), size):
-        yield bytes(view[start : start + size])
+    content, size = samples.tobytes(), CORRECTED.itemsize
+    for start in range(0, len(content), size):
+        yield content[start : start + size]
 
 
 def json_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:

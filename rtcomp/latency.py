@@ -1,11 +1,17 @@
-"""Latency per stage, in bounded memory: samples are gathered in arrays and folded into HDR histograms once a second."""
+"""Latency per stage in bounded memory: times are gathered in arrays, folded into HDR histograms a few times a second.
 
+The thread that publishes does this beside its work, so every piece of it is short: noting a batch is a few copies,
+folding takes one stage in turn, and percentiles are read from the histogram's counts without a loop.
+"""
+
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 HIGHEST_NS = 60_000_000_000
-DIGITS = 3
+DIGITS = 2
+MANTISSA_BITS = 8  # values alike in these are one value to a histogram of two decimal digits
 STAGES = ("receive", "correct", "publish", "total")
 """From the kernel's time stamp to the hand-over of a batch, from there to corrected, from there to put out; and the
 whole way, from the kernel until it goes out. A subscriber may add `received` (`rtcomp.probe`)."""
@@ -19,6 +25,7 @@ class Stage:
         from hdrh.histogram import HdrHistogram
 
         self._histogram: Any = HdrHistogram(1, HIGHEST_NS, DIGITS)
+        self._counts = np.ctypeslib.as_array(self._histogram.counts)
         self._buffer = np.zeros(room, np.int64)
         self._used = 0
 
@@ -32,15 +39,83 @@ class Stage:
             self._used += len(part)
 
     def fold(self) -> None:
-        """Move what was gathered into the histogram; equal microseconds count as one value."""
-        kept = np.clip(self._buffer[: self._used] // 1000 * 1000, 1, HIGHEST_NS)
-        for value, count in zip(*np.unique(kept, return_counts=True), strict=True):
+        """Move what was gathered into the histogram."""
+        kept = np.clip(self._buffer[: self._used], 1, HIGHEST_NS)
+        shift = np.maximum(np.frexp(kept.astype(np.float64))[1] - MANTISSA_BITS, 0)
+        for value, count in zip(*np.unique(kept >> shift << shift, return_counts=True), strict=True):
             self._histogram.record_value(int(value), int(count))
         self._used = 0
 
     def summary_us(self) -> dict[str, float] | None:
-        """Percentiles [µs] of everything so far; None when there is nothing."""
-        self.fold()
+        """Percentiles [µs] of everything folded so far; None when there is nothing."""
         if not self._histogram.get_total_count():
             return None
-        return {name: self._histogram.get_value_at_percentile(p) / 1000.0 for name, p in PERCENTILES.items()}
+        reached = np.cumsum(self._counts)
+        found = {}
+        for name, percentile in PERCENTILES.items():
+            index = int(np.searchsorted(reached, self._histogram.get_target_count_at_percentile(percentile)))
+            value = self._histogram.get_value_from_index(index)
+            found[name] = self._histogram.get_highest_equivalent_value(value) / 1000.0
+        return found
+
+
+class Timeline:
+    """When samples passed each stage [ns]; `note` and `turn` from one thread only."""
+
+    def __init__(self, room: int = 4096) -> None:
+        self.stages = {name: Stage() for name in STAGES}
+        self._times = np.zeros((5, room), np.int64)  # frame, taken, corrected, put, out
+        self._used = self._next = 0
+
+    def note(
+        self,
+        t_ns: np.ndarray,
+        t_received_ns: np.ndarray,
+        t_corrected_ns: np.ndarray,
+        t_put_ns: int,
+        t_out_ns: int,
+    ) -> None:
+        """Samples `(n,)` of one batch: the times of their frames; they went out from `t_put_ns` to `t_out_ns`."""
+        room = self._times.shape[1]
+        for start in range(0, len(t_ns), room):
+            part = slice(start, start + room)
+            count = len(t_ns[part])
+            if self._used + count > room:
+                self.spread()
+            to = slice(self._used, self._used + count)
+            self._times[0, to], self._times[1, to] = t_ns[part], t_received_ns[part]
+            self._times[2, to], self._times[3, to], self._times[4, to] = (
+                t_corrected_ns[part],
+                t_put_ns,
+                t_out_ns,
+            )
+            self._used += count
+
+    def spread(self) -> None:
+        """Give the stages what was noted."""
+        frame, taken, corrected, put, out = self._times[:, : self._used]
+        for name, latencies in (
+            ("receive", taken - frame),
+            ("correct", corrected - taken),
+            ("publish", out - corrected),
+            ("total", put - frame),
+        ):
+            self.stages[name].add(latencies)
+        self._used = 0
+
+    def turn(self) -> None:
+        """Fold one stage, the next in turn, so that no sample waits for all of them."""
+        if self._next == 0:
+            self.spread()
+        self.stages[STAGES[self._next]].fold()
+        self._next = (self._next + 1) % len(STAGES)
+
+    def fold(self) -> None:
+        """Fold everything."""
+        self.spread()
+        for stage in self.stages.values():
+            stage.fold()
+
+    def summary_us(self) -> Mapping[str, dict[str, float] | None]:
+        """Percentiles per stage [µs] of everything folded so far."""
+        return {name: stage.summary_us() for name, stage in self.stages.items()}

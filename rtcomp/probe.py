@@ -68,6 +68,7 @@ class Stream:
         """So far; None before the first sample."""
         latencies, self._latencies = self._latencies, []
         self._stage.add(np.array(latencies, np.int64))
+        self._stage.fold()
         percentiles = self._stage.summary_us()
         return Told(self.received, self.missed, percentiles) if percentiles else None
 

@@ -13,13 +13,14 @@ import numpy as np
 from rtcomp.batches import Batches
 from rtcomp.encodings import ENCODERS, MIME
 from rtcomp.frames import c_declaration, schema
-from rtcomp.latency import STAGES, Stage
+from rtcomp.latency import STAGES, Timeline
 from rtcomp.probe import LEAF, read_told
 from rtcomp.sample_queue import Batch, BatchQueue, SampleQueue
 
 log = logging.getLogger(__name__)
 
 HEALTH_S = 1.0
+TURN_S = 0.25 / len(STAGES)  # between two turns at the latencies
 
 
 class Publisher:
@@ -50,7 +51,7 @@ class Publisher:
 
         self.session, self.prefix, self.names = session, prefix.strip("/"), names
         self.published = 0
-        self.stages = {stage: Stage() for stage in STAGES}
+        self.timeline = Timeline()
         self.models: dict[str, Any] = dict.fromkeys(names)
         self.health: Callable[[str], dict[str, Any]] = lambda name: {}
         self._clock_ns, self._lossless = clock_ns, lossless
@@ -144,7 +145,7 @@ class Publisher:
             declared.undeclare()
 
     def _run(self) -> None:
-        due = time.monotonic() + HEALTH_S
+        due = turn_due = time.monotonic() + HEALTH_S
         batch_due = 0.0
         while (batch := self.queue.take(max(0.0, min(due, batch_due) - time.monotonic()))) is not None:
             if len(batch.corrected):
@@ -153,34 +154,39 @@ class Publisher:
             if now >= due:
                 self._publish_health()
                 due = time.monotonic() + HEALTH_S
+            elif now >= turn_due:
+                self.timeline.turn()
+                turn_due = time.monotonic() + TURN_S
 
     def _publish(self, batch: Batch) -> None:
         """What is not needed for the samples to go out comes after they have."""
-        corrected = batch.corrected
         for index, name in enumerate(self.names):
-            mine = corrected if len(self.names) == 1 else corrected[batch.channel == index]
+            mine, received, corrected = batch.corrected, batch.t_received_ns, batch.t_corrected_ns
+            if len(self.names) > 1:
+                rows = batch.channel == index
+                mine, received, corrected = mine[rows], received[rows], corrected[rows]
             if len(mine):
                 mine["t_pub_ns"] = t_pub_ns = self._clock_ns()
                 put = self._rates[index].put
                 for payload in self._encode(mine, name):
                     put(payload)
-                self.stages["total"].add(t_pub_ns - mine["t_ns"])
+                self.timeline.note(mine["t_ns"], received, corrected, t_pub_ns, self._clock_ns())
                 self._batches.add(index, mine)
-        t_out_ns = self._clock_ns()
-        self.published += len(corrected)
-        self.stages["receive"].add(batch.t_received_ns - corrected["t_ns"])
-        self.stages["correct"].add(batch.t_corrected_ns - batch.t_received_ns)
-        self.stages["publish"].add(t_out_ns - batch.t_corrected_ns)
-        self.queue.done(len(corrected))
+        self.published += len(batch.corrected)
+        self.queue.done(len(batch.corrected))
 
     def _publish_health(self) -> None:
         for name, publisher in zip(self.names, self._healths, strict=True):
             publisher.put(json.dumps(self.health(name)), encoding="application/json")
 
     def latency_us(self) -> dict[str, dict[str, float] | None]:
-        """Percentiles per stage [µs]; call it in the publisher's thread or when that has ended."""
-        told = {LEAF: self._received} if self._received else {}
-        return {name: stage.summary_us() for name, stage in self.stages.items()} | told
+        """Percentiles per stage [µs], while it publishes those of a quarter of a second ago.
+
+        Call it in the publisher's thread or when that has ended.
+        """
+        if not self._thread.is_alive():
+            self.timeline.fold()
+        return {**self.timeline.summary_us(), **({LEAF: self._received} if self._received else {})}
 
 
 def _reply(key: str, answer: Callable[[], Any], query: Any) -> None:

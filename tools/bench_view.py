@@ -28,7 +28,7 @@ from typing import Any
 import click
 import numpy as np
 
-from rtcomp.latency import Stage
+from rtcomp.latency import Timeline
 from rtcomp.view.sinks import LOOPBACK, free_port
 
 RATE_HZ = 1000
@@ -38,18 +38,25 @@ LATENCIES = "latencies.npy"
 ROWS = 4_000_000  # latencies that are kept: 20 minutes of three channels
 
 
-class Kept(Stage):
-    """A stage that also keeps every latency with the monotonic time of its publication, shape `(used, 2)` [ns]."""
+class Kept(Timeline):
+    """A timeline that also keeps every latency with the monotonic time of its publication, shape `(used, 2)` [ns]."""
 
     def __init__(self) -> None:
         super().__init__()
         self.rows, self.used = np.zeros((ROWS, 2), np.int64), 0
 
-    def add(self, latencies_ns: np.ndarray) -> None:
-        """Take in latencies [ns]."""
-        super().add(latencies_ns)
-        stretch = self.rows[self.used : self.used + len(latencies_ns)]
-        stretch[:, 0], stretch[:, 1] = time.monotonic_ns(), latencies_ns[: len(stretch)]
+    def note(
+        self,
+        t_ns: np.ndarray,
+        t_received_ns: np.ndarray,
+        t_corrected_ns: np.ndarray,
+        t_put_ns: int,
+        t_out_ns: int,
+    ) -> None:
+        """Samples of one batch."""
+        super().note(t_ns, t_received_ns, t_corrected_ns, t_put_ns, t_out_ns)
+        stretch = self.rows[self.used : self.used + len(t_ns)]
+        stretch[:, 0], stretch[:, 1] = time.monotonic_ns(), t_put_ns - t_ns[: len(stretch)]
         self.used += len(stretch)
 
 
@@ -73,7 +80,7 @@ def compensate(folder: Path) -> None:
         publisher = Publisher(session, "rtcomp", plan.channel_names, time.time_ns)
         publisher.models = {name: model_document(model) for name in plan.channel_names}
         publisher.health = lambda name: {"stages_us": publisher.latency_us()}
-        publisher.stages["total"] = kept = Kept()
+        publisher.timeline = kept = Kept()
         publisher.start()
         print("ready", flush=True)
         total, started = 0, time.monotonic()
