@@ -1,6 +1,6 @@
-"""Latency per stage in bounded memory: times are gathered in arrays, folded into HDR histograms a few times a second.
+"""Latency per stage in bounded memory: times are gathered, folded into HDR histograms a few times a second.
 
-The thread that publishes does this beside its work, so every piece of it is short: noting a batch is a few copies,
+The thread that publishes does this beside its work, so every piece of it is short: noting a batch copies nothing,
 folding takes one stage in turn, and percentiles are read from the histogram's counts without a loop.
 """
 
@@ -60,12 +60,12 @@ class Stage:
 
 
 class Timeline:
-    """When samples passed each stage [ns]; `note` and `turn` from one thread only."""
+    """When samples passed each stage [ns]; to be used from one thread only."""
 
-    def __init__(self, room: int = 4096) -> None:
+    def __init__(self) -> None:
         self.stages = {name: Stage() for name in STAGES}
-        self._times = np.zeros((5, room), np.int64)  # frame, taken, corrected, put, out
-        self._used = self._next = 0
+        self._noted: list[tuple[np.ndarray, np.ndarray, np.ndarray, int, int]] = []
+        self._next = 0
 
     def note(
         self,
@@ -75,38 +75,27 @@ class Timeline:
         t_put_ns: int,
         t_out_ns: int,
     ) -> None:
-        """Samples `(n,)` of one batch: the times of their frames; they went out from `t_put_ns` to `t_out_ns`."""
-        room = self._times.shape[1]
-        for start in range(0, len(t_ns), room):
-            part = slice(start, start + room)
-            count = len(t_ns[part])
-            if self._used + count > room:
-                self.spread()
-            to = slice(self._used, self._used + count)
-            self._times[0, to], self._times[1, to] = t_ns[part], t_received_ns[part]
-            self._times[2, to], self._times[3, to], self._times[4, to] = (
-                t_corrected_ns[part],
-                t_put_ns,
-                t_out_ns,
-            )
-            self._used += count
+        """Samples `(n,)` of one batch: the times of their frames; they went out from `t_put_ns` to `t_out_ns`.
+
+        The arrays are not copied: they have to stay as they are until `spread`.
+        """
+        self._noted.append((t_ns, t_received_ns, t_corrected_ns, t_put_ns, t_out_ns))
 
     def spread(self) -> None:
         """Give the stages what was noted."""
-        frame, taken, corrected, put, out = self._times[:, : self._used]
-        for name, latencies in (
-            ("receive", taken - frame),
-            ("correct", corrected - taken),
-            ("publish", out - corrected),
-            ("total", put - frame),
-        ):
-            self.stages[name].add(latencies)
-        self._used = 0
+        if not self._noted:
+            return
+        frames, takens, correcteds, puts, outs = zip(*self._noted, strict=True)
+        frame, taken, corrected = np.concatenate(frames), np.concatenate(takens), np.concatenate(correcteds)
+        sizes = [len(t_ns) for t_ns in frames]
+        self.stages["receive"].add(taken - frame)
+        self.stages["correct"].add(corrected - taken)
+        self.stages["publish"].add(np.repeat(outs, sizes) - corrected)
+        self.stages["total"].add(np.repeat(puts, sizes) - frame)
+        self._noted.clear()
 
     def turn(self) -> None:
         """Fold one stage, the next in turn, so that no sample waits for all of them."""
-        if self._next == 0:
-            self.spread()
         self.stages[STAGES[self._next]].fold()
         self._next = (self._next + 1) % len(STAGES)
 

@@ -20,6 +20,7 @@ from rtcomp.sample_queue import Batch, BatchQueue, SampleQueue
 log = logging.getLogger(__name__)
 
 HEALTH_S = 1.0
+MOST_UNSETTLED = 8192  # samples that keep their room in the queue after they went out
 TURN_S = 0.25 / len(STAGES)  # between two turns at the latencies
 
 
@@ -57,7 +58,7 @@ class Publisher:
         self._clock_ns, self._lossless = clock_ns, lossless
         self._encoding, self._encode, mime = encoding, ENCODERS[encoding], MIME[encoding]
         self.queue: SampleQueue = queue or BatchQueue()
-        self._lost = 0
+        self._lost = self._unsettled = 0
         control = zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP
         self._rates = [
             session.declare_publisher(
@@ -139,6 +140,7 @@ class Publisher:
         if self._thread.is_alive():
             self.queue.end()
             self._thread.join()
+        self._settle()
         self._publish_health()
         self._batches.close()
         for declared in (*self._rates, *self._healths, *(item for group in self._declared for item in group)):
@@ -150,11 +152,14 @@ class Publisher:
         while (batch := self.queue.take(max(0.0, min(due, batch_due) - time.monotonic()))) is not None:
             if len(batch.corrected):
                 self._publish(batch)
+            else:
+                self._settle()
             batch_due = self._batches.flush(now := time.monotonic())
             if now >= due:
                 self._publish_health()
                 due = time.monotonic() + HEALTH_S
             elif now >= turn_due:
+                self._settle()
                 self.timeline.turn()
                 turn_due = time.monotonic() + TURN_S
 
@@ -173,7 +178,15 @@ class Publisher:
                 self.timeline.note(mine["t_ns"], received, corrected, t_pub_ns, self._clock_ns())
                 self._batches.add(index, mine)
         self.published += len(batch.corrected)
-        self.queue.done(len(batch.corrected))
+        self._unsettled += len(batch.corrected)
+        if self._unsettled > MOST_UNSETTLED:
+            self._settle()
+
+    def _settle(self) -> None:
+        """Look at the times of what went out, and give its room back."""
+        self.timeline.spread()
+        self.queue.done(self._unsettled)
+        self._unsettled = 0
 
     def _publish_health(self) -> None:
         for name, publisher in zip(self.names, self._healths, strict=True):

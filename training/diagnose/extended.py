@@ -4,6 +4,7 @@ Only effects that are causal in rate, temperature and time since power-on get a 
 provenance.  Where the simulation was a model file its surface, rules and terms come along.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -46,13 +47,18 @@ def terms_of(analysis: Analysis, diagnosis: Diagnosis) -> tuple[list[Term], list
     told = {term.effect for term in terms}
     left = [f.effect for f in diagnosis.findings if f.effect not in (*told, *_modelled(analysis), "unknown")]
     model = analysis.model
-    temps = [d.work.temp for d in analysis.domains]
-    temp_degC = (
-        (min(float(t.min()) for t in temps), max(float(t.max()) for t in temps)) if temps else (0.0, 1.0)
-    )
+    works = [d.work for d in analysis.domains]
+    ranges = {
+        driver: (min(float(v.min()) for v in values), max(float(v.max()) for v in values))
+        for driver, values in (
+            ("temperature", [w.temp for w in works]),
+            ("rate", [w.full["w"] for w in works]),
+        )
+        if values
+    }
     for part, where in zip(model.parts, model.slices(), strict=True) if model is not None else ():
         found = (
-            _part_terms(part, model.fit.beta[where], temp_degC)
+            _part_terms(part, model.fit.beta[where], ranges)
             if model is not None and part.effect in TERMS
             else []
         )
@@ -80,11 +86,11 @@ def coefficient_terms(diagnosis: Diagnosis) -> list[Term]:
     return terms
 
 
-def _part_terms(part: Part, beta: np.ndarray, temp_degC: tuple[float, float]) -> list[Term]:
+def _part_terms(part: Part, beta: np.ndarray, ranges: dict[str, tuple[float, float]]) -> list[Term]:
     """One term per point of the part's shape; a static slope that belongs to a hysteresis becomes a term of its own.
 
-    Orders of a polynomial beyond the term's become a piecewise linear function over `temp_degC` (low, high).  None at
-    all where a coefficient has no place in the term.
+    Orders of a polynomial beyond the term's become a piecewise linear function over the driver's range (low, high).
+    None at all where a coefficient has no place in the term.
     """
     terms, at = [], 0
     kind = TERMS[part.effect]
@@ -92,7 +98,7 @@ def _part_terms(part: Part, beta: np.ndarray, temp_degC: tuple[float, float]) ->
         linear = part.group.linear(point)
         values = {name: float(v) for (name, _), v in zip(linear, beta[at : at + len(linear)], strict=True)}
         at += len(linear)
-        higher, values = _higher_orders(values, kind.names, temp_degC) if "high" in point else ([], values)
+        higher, values = _higher_orders(values, kind.names, ranges) if "high" in point else ([], values)
         terms += higher
         shape = {"tau_s": point["coil_tau_s"]} if "coil_tau_s" in point else {}
         shape |= {"ln_tau_s": LN_TAU_S[point["shape"]]} if point.get("shape") in LN_TAU_S else {}
@@ -106,25 +112,29 @@ def _part_terms(part: Part, beta: np.ndarray, temp_degC: tuple[float, float]) ->
 
 
 def _higher_orders(
-    values: dict[str, float], known: Sequence[str], temp_degC: tuple[float, float]
+    values: dict[str, float], known: Sequence[str], ranges: dict[str, tuple[float, float]]
 ) -> tuple[list[Term], dict[str, float]]:
-    """(a piecewise linear term of the orders that the polynomial's own term has no names for, the other values)."""
-    beyond = {name: v for name, v in values.items() if name not in known}
-    knots = np.linspace(*temp_degC, HIGH_CORNERS)
-    h = knots - ROOM_DEGC
-    total = sum(
-        (v * h ** int(name[1]) for name, v in beyond.items()), np.zeros(len(h))
-    )  # b4…, s4…: the order's digit
-    term = Term(
-        "unknown",
-        {
-            "driver": "temperature",
-            "times_rate": float(any("ppm" in name for name in beyond)),
-            "knots": knots.tolist(),
-            "values": total.tolist(),
-        },
-    )
-    return [term], {name: v for name, v in values.items() if name in known}
+    """(a piecewise linear term of the orders that the polynomial's own term has no names for, the other values).
+
+    b4…, s4… go with the temperature above room, c7… with the rate; what goes with both has no such term.
+    """
+    powers = {name: int(re.findall(r"\d+", name)[0]) for name in values}
+    beyond = {
+        name: v
+        for name, v in values.items()
+        if name not in known and not name.startswith(f"c{powers[name]}h")
+    }
+    driver = "rate" if any(name.startswith("c") for name in beyond) else "temperature"
+    knots = np.linspace(*ranges[driver], HIGH_CORNERS)
+    base = knots if driver == "rate" else knots - ROOM_DEGC
+    total = sum((v * base ** powers[name] for name, v in beyond.items()), np.zeros(len(base)))
+    parameters: dict[str, Any] = {
+        "driver": driver,
+        "times_rate": float(any("ppm" in name for name in beyond)),
+        "knots": knots.tolist(),
+        "values": total.tolist(),
+    }
+    return [Term("unknown", parameters)], {name: v for name, v in values.items() if name not in beyond}
 
 
 def _smoothing(analysis: Analysis) -> float:
