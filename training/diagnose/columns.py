@@ -210,7 +210,11 @@ def dead_band(work: Work, p: Parameters) -> list[FloatArray]:
     shape, width, noise = DEAD_SHAPES[int(p["shape"])], p["lock_dps"], work.rate_noise_dps
     if width > CLEAR_OF_NOISE * noise:
         return [work.per_block(lambda w: shape(w, width))]
-    return [work.per_block(lambda w: sum(share * shape(w + noise * x, width) for x, share in NORMAL_NODES)]
+
+    def washed(w: FloatArray) -> FloatArray:
+        return sum((share * shape(w + noise * x, width) for x, share in NORMAL_NODES), np.zeros(len(w)))
+
+    return [work.per_block(washed)]
 
 
 def knee_grid(survey: Survey) -> list[Parameters]:
