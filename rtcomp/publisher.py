@@ -147,9 +147,10 @@ class Publisher:
             declared.undeclare()
 
     def _run(self) -> None:
-        due = turn_due = time.monotonic() + HEALTH_S
-        batch_due = 0.0
-        while (batch := self.queue.take(max(0.0, min(due, batch_due) - time.monotonic()))) is not None:
+        batch_due, turn_due, due = 0.0, time.monotonic() + TURN_S, time.monotonic() + HEALTH_S
+        while (
+            batch := self.queue.take(max(0.0, min(due, batch_due, turn_due) - time.monotonic()))
+        ) is not None:
             if len(batch.corrected):
                 self._publish(batch)
             else:
@@ -161,7 +162,7 @@ class Publisher:
             elif now >= turn_due:
                 self._settle()
                 self.timeline.turn()
-                turn_due = time.monotonic() + TURN_S
+                turn_due = now + TURN_S
 
     def _publish(self, batch: Batch) -> None:
         """What is not needed for the samples to go out comes after they have."""

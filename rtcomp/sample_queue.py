@@ -55,12 +55,12 @@ class SampleQueue(Protocol):
     def take(self, timeout_s: float) -> Batch | None:
         """What has come, waiting at most `timeout_s` for it; `NOTHING` then, None after the end.
 
-        The arrays may be changed, and are good until `done`.
+        The arrays may be changed, and are good until `done`; more may be taken before.
         """
         ...
 
     def done(self, count: int) -> None:
-        """The last `count` samples taken need no room any more."""
+        """The oldest `count` of the samples taken need no room any more."""
         ...
 
     def close(self) -> None:
@@ -120,7 +120,7 @@ class SampleRing:
         self.address = self.words.ctypes.data
         self._descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.words[WAIT] = self._descriptor | POLLIN << 32
-        self._waiting = 0
+        self._waiting = self._taken = 0
         self._ended = False
 
     @property
@@ -153,9 +153,10 @@ class SampleRing:
             self._waiting = came % ENDED
             if not self._waiting:
                 return None if self._ended else NOTHING
-        first = int(self.words[TAIL]) % self.room
+        first = self._taken % self.room
         part = slice(first, first + min(self._waiting, self.room - first))
         self._waiting -= part.stop - first
+        self._taken += part.stop - first
         return Batch(self.samples[part], self.channel[part], *self.times[part].T)
 
     def done(self, count: int) -> None:

@@ -62,6 +62,19 @@ def test_queue_gives_what_was_put_in_order(queue):
     assert seen == list(range(40))
 
 
+def test_queue_gives_the_next_before_the_last_is_done_with(queue):
+    seen, undone = [], 0
+    for first in range(0, 40, 4):
+        assert put(queue, 4, first)
+        while len((batch := queue.take(0.0)).corrected):
+            seen += batch.corrected["seq"].tolist()
+            undone += len(batch.corrected)
+        if undone > 4:
+            queue.done(undone)
+            undone = 0
+    assert seen == list(range(40))
+
+
 def test_queue_without_room_takes_nothing_until_there_is(queue):
     assert put(queue, 8)
     assert not put(queue, 3, 8)

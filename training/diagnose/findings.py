@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import stats
 
 from training.diagnose.align import rivals
+from training.diagnose.design import Domain
 from training.diagnose.document import (
     Alignment,
     Estimate,
@@ -13,7 +15,7 @@ from training.diagnose.document import (
     Where,
 )
 from training.diagnose.intake import Intake
-from training.diagnose.intervals import Estimates, estimates
+from training.diagnose.intervals import WIDER, Estimates, estimates
 from training.diagnose.likelihood import inverse
 from training.diagnose.naming import Model
 from training.diagnose.noise import noise_findings
@@ -250,12 +252,31 @@ def unknown_finding(analysis: Analysis, unknown: Unknown, model: Model) -> Findi
         separate_by=f"a recording in which {unknown.driver.replace('_', ' ')} varies on its own, twice",
         driver=unknown.driver,
         where=where_of(waves, works, unknown.driver),
-        parameters={},
+        parameters=_of_the_function(unknown, joint, analysis.domains),
         rms_dps=float(np.sqrt(np.mean(np.concatenate(waves) ** 2))),
         p_value=float(max(unknown.p_value, 1e-300)),
         text=f"a function of {unknown.driver.replace('_', ' ')} that no catalogue entry carries{near}",
         strength=unknown.chi2,
     )
+
+
+def _of_the_function(unknown: Unknown, joint: Model, domains: Sequence[Domain]) -> dict[str, Parameter]:
+    """How far the empirical function rises from its lowest to its highest value, and its shape if it has one."""
+    point, group = unknown.part.points[0], unknown.part.group
+    shape = {
+        key: Parameter(float(point[key]), "", (float(point[key]), float(point[key])))
+        for key in ("centre", "bump", "width", "cycle", "order")
+        if point.get(key)
+    }
+    estimate = estimates(joint, domains)
+    mine = [k for k, (i, _, _) in enumerate(estimate.names) if i == len(joint.parts) - 1]
+    columns = np.concatenate([np.stack(group.columns(d.work, point), axis=1) for d in domains])
+    wave = columns @ estimate.values[mine]
+    rise = columns[int(np.argmax(wave))] - columns[int(np.argmin(wave))]
+    error = float(np.sqrt(max(rise @ estimate.covariance[np.ix_(mine, mine)] @ rise, 0.0)))
+    half = WIDER * float(stats.t.ppf(0.975, float(np.min(estimate.dof[mine])))) * error
+    size = float(np.ptp(wave))
+    return {"peak_to_peak_dps": Parameter(size, "dps", (size - half, size + half)), **shape}
 
 
 def alignments(analysis: Analysis) -> list[Alignment]:

@@ -35,6 +35,8 @@ from training.table import Recording
 
 logger = logging.getLogger(__name__)
 MIN_BLOCKS = 24
+FOLLOWING = frozenset({"multiplicative_noise", "timing_jitter"})
+WAKE = 0.015
 Progress = Callable[[str], None]
 
 
@@ -58,6 +60,7 @@ class Analysis:
     proofs: list[Proof] = field(default_factory=list)
     placebo: float | None = None
     unusable: list[tuple[Recording, Checked]] = field(default_factory=list)
+    unusable_heldout: list[tuple[Recording, Checked]] = field(default_factory=list)
 
     def everything(self) -> Model | None:
         """The named parts and, where something without a name was found, its empirical part: all that is told."""
@@ -135,12 +138,16 @@ def _search(analysis: Analysis, progress: Progress) -> None:
 
 
 def _confirm(intake: Intake, analysis: Analysis) -> None:
-    """Keep what was said of the noise only if it still shows without what was named: a large error passes for noise."""
+    """Keep what was said of the noise only if it still shows without what was named: a large error passes for noise.
+
+    What is small beside the named error is no more than what a noisy temperature or an inexact shape leaves of it.
+    """
     model = analysis.everything()
     if model is None or not model.parts or not intake.fast:
         return
     wave = predicted(model, intake, analysis.settings.power_on_known) - intake.timing_change
-    again = {f.effect for f in fast_findings(intake, wave)}
+    least = WAKE * float(np.std(wave))
+    again = {f.effect for f in fast_findings(intake, wave) if f.effect not in FOLLOWING or f.rms_dps > least}
     intake.fast = [f for f in intake.fast if f.effect in again]
 
 
@@ -159,7 +166,7 @@ def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:
         for recording in heldout:
             checked = checked_recording(recording, settings.static)
             if checked.unusable:
-                analysis.unusable.append((recording, checked))
+                analysis.unusable_heldout.append((recording, checked))
                 continue
             analysis.heldout.append(take_in(recording, checked, analysis.simulation, settings, shared))
     if analysis.heldout:

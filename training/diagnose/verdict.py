@@ -9,6 +9,8 @@ from training.diagnose.unknown import Located, ranked
 from training.diagnose.visible import not_excited, visible_from
 from training.effects.catalogue import effect
 
+LEAST_P = 1e-12
+
 
 def conclude(analysis: Analysis) -> Diagnosis:
     """The document of a finished analysis."""
@@ -63,6 +65,7 @@ def _notes(analysis: Analysis) -> list[RecordingNote]:
     rows = [(i.recording, i.checked, False) for i in analysis.intakes]
     rows += [(r, c, False) for r, c in analysis.unusable]
     rows += [(i.recording, i.checked, True) for i in analysis.heldout]
+    rows += [(r, c, True) for r, c in analysis.unusable_heldout]
     notes = []
     for recording, checked, held in rows:
         texts = [f"{f.effect}: {f.text}" for f in checked.faults] + checked.remarks
@@ -98,7 +101,12 @@ def _verdict(analysis: Analysis, findings: list[Finding]) -> tuple[str, str]:
             f"{title} ({size}), but these recordings cannot tell it from {rest}; to separate: {first.separate_by}.",
         )
     others = f", beside {', '.join(f.effect for f in findings[1:])}" if len(findings) > 1 else ""
-    return "named", f"{title} is missing from the simulation ({size}, p = {first.p_value:.1g}){others}."
+    return "named", f"{title} is missing from the simulation ({size}, {_chance(first.p_value)}){others}."
+
+
+def _chance(p_value: float) -> str:
+    """The p-value for a person; nobody knows a tail further out than this."""
+    return f"p = {p_value:.1g}" if p_value > LEAST_P else f"p < {LEAST_P:.0e}"
 
 
 def _silent(analysis: Analysis) -> tuple[str, str]:
