@@ -145,6 +145,8 @@ ODD_POWERS: dict[int, tuple[tuple[int, int], ...]] = {
     8: ((3, 0), (5, 0), (7, 0), (9, 0), (3, 1), (5, 1)),
 }
 """Which ω^n·h^k a nonlinearity may consist of; from the fifth on only where it is so large that its shape shows."""
+BEYOND = frozenset({(7, 0), (9, 0), (11, 0), (5, 1)})
+HUNDRED_DPS = 100.0  # high powers are of the rate in hundreds, or their size would leave every range
 
 
 def nonlinearity_grid(survey: Survey) -> list[Parameters]:
@@ -153,12 +155,16 @@ def nonlinearity_grid(survey: Survey) -> list[Parameters]:
 
 
 def nonlinearity(work: Work, p: Parameters) -> list[FloatArray]:
-    """ω³, ω⁵, hω³, … as the order says."""
-    top, kinds = work.full["w_max"][0], ODD_POWERS[int(p["order"])]
+    """ω³, ω⁵, hω³ and powers of ω/(100 °/s) beyond, as the order says."""
+    kinds = ODD_POWERS[int(p["order"])]
     powers_of = {
-        n: work.per_block(lambda w, n=n: _odd_power(w / top, n)) * top**n for n in {n for n, _ in kinds}
+        n: work.per_block(lambda w, n=n: _odd_power(w / HUNDRED_DPS, n)) for n in {n for n, _ in kinds}
     }
-    return [above_room(work) * powers_of[n] if k else powers_of[n] for n, k in kinds]
+    columns = []
+    for n, k in kinds:
+        column = powers_of[n] * (1.0 if (n, k) in BEYOND else HUNDRED_DPS**n)
+        columns.append(above_room(work) * column if k else column)
+    return columns
 
 
 def _odd_power(x: FloatArray, n: int) -> FloatArray:
@@ -171,12 +177,13 @@ def _odd_power(x: FloatArray, n: int) -> FloatArray:
 
 def nonlinearity_names(p: Parameters) -> list[tuple[str, str]]:
     """Coefficients of those columns."""
-    return [
-        (f"c{n}h_per_dps{n - 1}_per_K", f"1/(dps^{n - 1} K)")
-        if k
-        else (f"c{n}_per_dps{n - 1}", f"1/dps^{n - 1}")
-        for n, k in ODD_POWERS[int(p["order"])]
-    ]
+    known = {
+        (3, 0): ("c3_per_dps2", "1/dps^2"),
+        (5, 0): ("c5_per_dps4", "1/dps^4"),
+        (3, 1): ("c3h_per_dps2_per_K", "1/(dps^2 K)"),
+    }
+    beyond = {(n, k): (f"c{n}h_dps_per_K", "dps/K") if k else (f"c{n}_dps", "dps") for n, k in BEYOND}
+    return [(known | beyond)[kind] for kind in ODD_POWERS[int(p["order"])]]
 
 
 WASHED_OUT = 1.5  # a dead band narrower than this many times the noise left in the rate cannot be seen

@@ -13,6 +13,7 @@ import numpy as np
 
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
+from training.diagnose.columns import HUNDRED_DPS
 from training.diagnose.document import Diagnosis
 from training.diagnose.generic import VALUES, basis_of, grain_of
 from training.diagnose.library import ROOM_DEGC, Parameters
@@ -118,7 +119,7 @@ def _higher_orders(
 
     b4…, s4… go with the temperature above room, c7… with the rate; what goes with both has no such term.
     """
-    powers = {name: int(re.findall(r"\d+", name)[0]) for name in values}
+    powers = {name: int(re.findall(r"\d+", name)[0]) for name in values}  # of b4_…, s4_…, c7_…
     beyond = {
         name: v
         for name, v in values.items()
@@ -126,7 +127,7 @@ def _higher_orders(
     }
     driver = "rate" if any(name.startswith("c") for name in beyond) else "temperature"
     knots = np.linspace(*ranges[driver], HIGH_CORNERS)
-    base = knots if driver == "rate" else knots - ROOM_DEGC
+    base = knots / HUNDRED_DPS if driver == "rate" else knots - ROOM_DEGC
     total = sum((v * base ** powers[name] for name, v in beyond.items()), np.zeros(len(base)))
     parameters: dict[str, Any] = {
         "driver": driver,
