@@ -45,7 +45,7 @@ def find_message(database: Any, message: str, where: str) -> Any:
     """
     found = [entry for entry in database.messages if entry.name == message]
     if not found:
-        names = ", ".join(entry.name for entry in database.messages[:20])
+        names = ", ".join(list(dict.fromkeys(entry.name for entry in database.messages))[:20])
         raise RequestError(f"{where}: the DBC has no message {message!r}; it has {names}")
     return found[0]
 

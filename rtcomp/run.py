@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from rtcomp.sample_queue import BatchQueue, SampleQueue, SampleRing
 from rtcomp.signal_map import load_map
 from rtcomp.sources.bus import is_socketcan, open_bus
 from rtcomp.sources.clock import SteadyClock
+from rtcomp.sources.logs import log_format, read_log
 from rtcomp.stacks import load_stacks, trusted_keys
 from rtcomp.swap import Swapper
 
@@ -129,9 +131,11 @@ class Runner:
             raise
 
     def _warm_up(self) -> None:
+        if self.config.log is not None:
+            log_format(Path(self.config.log))  # a missing log is refused before half a minute is spent on it
         warm_up(self.map)
         if self.config.bus is not None and is_socketcan(self.config.bus):
-            open_bus(self.config.bus).close()  # refused before half a minute is spent on it
+            open_bus(self.config.bus).close()  # and so is a missing bus
             warm_up_live(self.map)
 
     def _open_source(self) -> None:
@@ -140,8 +144,6 @@ class Runner:
                 open_bus(self.config.bus, self.map.filters, self.clock)
             )
         else:
-            from rtcomp.sources.logs import read_log
-
             self._log = iter(read_log(str(self.config.log)))
             self._first = next(
                 self._log, None
@@ -298,13 +300,18 @@ class Runner:
             "ignored": counts["ignored"],
             "lost": sum(losses.values()),
             "losses": losses,
-            "rejected": self.pipeline.rejected,
+            "rejected": self.pipeline.rejected | self._unreadable(),
             "flags": self.pipeline.flags,
             "clock_steps": counts["clock_steps"],
             "swaps": dict(self.swapper.counts),
             "record": self.recorder.counts if self.recorder else None,
             "state": dict(self.checkpoint.counts) if self.checkpoint else None,
         }
+
+    def _unreadable(self) -> dict[str, int]:
+        """Lines of a log that were no frames."""
+        skipped = getattr(self._log, "skipped", 0) if self.config.log is not None else 0
+        return {"unreadable_line": skipped} if skipped else {}
 
     def summary(self) -> dict[str, Any]:
         """The document of `--json`, after `close`."""

@@ -121,7 +121,7 @@ def test_garbage_is_skipped_counted_and_reported(tmp_path, line, caplog):
     assert len(frames) == 2
     assert frames[0].tobytes() == frames[1].tobytes()  # nothing of the bad line stays in the next frame
     assert (reader.skipped, reader.first_skipped, reader.lines_read) == (1, [2], 3)
-    assert "skipped 1 unreadable lines (line 2)" in caplog.text
+    assert "skipped 1 unreadable line (line 2)" in caplog.text
 
 
 def test_line_longer_than_a_block_is_one_bad_line(tmp_path):

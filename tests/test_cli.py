@@ -81,7 +81,8 @@ def test_garbage_in_the_middle_is_skipped_counted_and_said(drive, caplog, capsys
     drive.write_bytes(b"".join(lines[:100]) + b"\x00garbage \xff\n(oops) can0 zz\n" + b"".join(lines[100:]))
     status, out, _ = call("run", "--log", drive, "--json", capsys=capsys)
     assert status == 0
-    assert json.loads(out.splitlines()[-1])["samples"] == 300
+    document = json.loads(out.splitlines()[-1])
+    assert (document["samples"], document["rejected"]["unreadable_line"]) == (300, 2)
     assert "skipped 2 unreadable lines" in caplog.text
 
 

@@ -10,6 +10,7 @@ from training.diagnose.pipeline import analyse
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
 from training.diagnose.verdict import conclude
+from training.table import Recording
 
 QUICK = Settings(surrogates=24)
 
@@ -121,3 +122,44 @@ def test_timing_learnt_on_one_recording_is_applied_to_another_and_not_fitted_the
     assert found.fit.improvement > 0.3
     punctual = diagnose(case(48, delay), heldout=[case(50, None)])
     assert punctual.fit.rms_after_dps > 1.2 * punctual.fit.rms_before_dps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("size_dps", "alternatives"),
+    [(4.3e-3, ["magnetic", "earth_rate"]), (8e-3, ["magnetic"])],
+)
+def test_the_earth_is_no_rival_only_of_what_is_surely_more_than_it_turns(size_dps, alternatives):
+    """The Earth turns by 4.18e-3 °/s; 4.3e-3 is more, but within the error."""
+    found = diagnose(recording(51, lambda t, w, temp: size_dps * np.cos(np.deg2rad(heading(t, w)))))
+    assert found.findings[0].alternatives == alternatives
+
+
+def test_drivers_tell_of_timing_and_of_shapes_no_smooth_function_has():
+    t, rate, _ = profile()
+    smooth = np.convolve(rate, np.hanning(9) / np.hanning(9).sum(), mode="same")
+    late = recording(52)
+    quiet = late.columns["rate_dps"] - rate
+    late.columns.update(ref_rate_dps=smooth, rate_dps=CubicSpline(t, smooth)(t - 0.02) + quiet)
+    assert diagnose(late).drivers[0].driver == "angular_acceleration"
+    loop = recording(53, lambda t, w, temp: 2e-3 * (play(temp, 4.0) - temp), static=True)
+    assert "temperature" in [d.driver for d in diagnose(loop).drivers[:2]]
+
+
+def creep(seed, lock_dps, reference_dps):
+    """Slow rates through zero past a reference that is noisier than the dead band is wide."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 3000.0, 0.1)
+    true = 0.4 * np.sin(2 * np.pi * t / 240.0) * np.sin(2 * np.pi * t / 1700.0)
+    shown = np.where(np.abs(true) < lock_dps, 0.0, true) + 2e-3 * rng.standard_normal(len(t))
+    reference = true + reference_dps * rng.standard_normal(len(t))
+    return Recording(f"creep{seed}", {"t_s": t, "rate_dps": shown, "ref_rate_dps": reference})
+
+
+@pytest.mark.slow
+def test_a_dead_band_no_wider_than_the_noise_of_the_reference_is_named():
+    found = diagnose(creep(54, 0.015, 0.02))
+    assert [f.effect for f in found.findings] == ["dead_band"]
+    lock = found.findings[0].parameters["lock_dps"]
+    assert 0.7 * 0.015 < lock.value < 1.4 * 0.015
+    assert not diagnose(creep(55, 0.0, 0.02)).findings

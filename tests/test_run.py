@@ -48,7 +48,7 @@ def live(config, frames, during=lambda runner: None, speed=0):
     with open_can(config.bus) as bus:
         half = len(frames) // 2
         for part in (frames[:half], frames[half:]):
-            replay(part, bus, speed=speed, stop=threading.Event())
+            replay([part], bus, speed=speed, stop=threading.Event())
             during(runner)
     wait_for(lambda: runner.pipeline.counts["frames"] >= len(frames))
     runner.stop()

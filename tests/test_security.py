@@ -55,7 +55,7 @@ def vehicle(network, fog_frames):
     def feed():
         with open_can(config.bus) as bus:
             while not runner.stopped.is_set():
-                replay(fog_frames(1.0), bus, speed=1.0, stop=runner.stopped)
+                replay([fog_frames(1.0)], bus, speed=1.0, stop=runner.stopped)
 
     feeder = threading.Thread(target=feed)
     feeder.start()

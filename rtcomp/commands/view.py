@@ -67,8 +67,9 @@ def command(as_json: bool, **options: Any) -> None:
         rtcomp view --save drive.rrd --seconds 60
         rtcomp view model.json drive.csv.gz
     """
-    from rtcomp.view.run import ViewConfig, run_view
+    from rtcomp.view.run import ViewConfig, be_modest, run_view
 
+    be_modest()
     report = run_view(ViewConfig(**options), lambda text: click.echo(f"rtcomp: {text}", err=True))
     if as_json:
         click.echo(json.dumps(report))

@@ -75,7 +75,8 @@ class CandumpReader(Iterator[NDArray[Any]]):
             broken = yield from self._parse_blocks(file)
         if self.skipped:
             first = ", ".join(map(str, self.first_skipped))
-            log.warning("%s: skipped %d unreadable lines (line %s%s)", self.path, self.skipped, first,
+            log.warning("%s: skipped %d unreadable %s (line %s%s)", self.path, self.skipped,
+                        "line" if self.skipped == 1 else "lines", first,
                         ", …" if self.skipped > len(self.first_skipped) else "")  # fmt: skip
         if broken:
             raise RequestError(

@@ -20,13 +20,19 @@ def ask(session: Any, key: str) -> Any:
     """
     for reply in session.get(key, timeout=ANSWER_S):
         if reply.ok is not None:
-            try:
-                return json.loads(reply.ok.payload.to_bytes())
-            except ValueError as error:
-                raise WorkError(
-                    f"{key} answers what is not JSON ({error}); is it another program's key?"
-                ) from error
+            return read_document(reply.ok.payload.to_bytes(), key)
     return None
+
+
+def read_document(payload: bytes, key: str) -> Any:
+    """The JSON document that came under `key`.
+
+    Raises WorkError when it is none.
+    """
+    try:
+        return json.loads(payload)
+    except ValueError as error:
+        raise WorkError(f"{key} says what is not JSON ({error}); is it another program's key?") from error
 
 
 def sample_layout(session: Any, channel_key: str) -> np.dtype[Any] | None:

@@ -1,6 +1,5 @@
 """Live from zenoh: batches of samples of every channel wait in a bounded ring and are logged ten times a second."""
 
-import json
 import logging
 import math
 import threading
@@ -14,7 +13,7 @@ from rtcomp.compensator import predict
 from rtcomp.errors import WorkError
 from rtcomp.frames import CORRECTED, Flag
 from rtcomp.model import new_model
-from rtcomp.view.asking import active_models, sample_layout
+from rtcomp.view.asking import active_models, read_document, sample_layout
 from rtcomp.view.channel_scene import ChannelScene, style_operating_point
 from rtcomp.view.layout import live_blueprint
 from rtcomp.view.report import about_models
@@ -188,7 +187,8 @@ class Viewer:
                 self._log(self.channels[name], part)
         for sample in self._drain(self._healths):
             if (channel := self.channels.get(_channel_of(sample))) is not None:
-                channel.health(json.loads(sample.payload.to_bytes()))
+                document = read_document(sample.payload.to_bytes(), str(sample.key_expr))
+                channel.health(document if isinstance(document, dict) else {})
         self._watch()
 
     @staticmethod

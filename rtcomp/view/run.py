@@ -99,7 +99,6 @@ def _sink(config: ViewConfig, window: bool, name: str, say: Say) -> Iterator[Sin
 
 def _show_live(config: ViewConfig, window: bool, stopped: threading.Event, say: Say) -> dict[str, Any]:
     deadline = time.monotonic() + config.wait_s
-    _be_modest()
     with contextlib.ExitStack() as stack:
         session = _wait_for_session(config, deadline, stopped, say)
         stack.callback(session.close)
@@ -116,7 +115,7 @@ def _show_live(config: ViewConfig, window: bool, stopped: threading.Event, say: 
         return viewer.counts() | {"url": sink.url, "file": config.save}
 
 
-def _be_modest() -> None:
+def be_modest() -> None:
     """Give way to whoever corrects, and keep freed memory in two heaps instead of one per thread (glibc)."""
     with contextlib.suppress(AttributeError, OSError):
         os.nice(NICE)

@@ -21,6 +21,7 @@ RANK_P = 1e-3  # that a few wild blocks are not all there is to it
 LINE_LOG_P = -16.0
 WEIGHT_GAIN = 20.0
 LSB_TO_NOISE = 2.5
+BESIDE = 0.06  # of a step
 
 
 @dataclass
@@ -179,6 +180,23 @@ def _background(power: FloatArray) -> FloatArray:
     return np.interp(np.arange(len(power)), (np.arange(blocks) + 0.5) * size, np.maximum(level, 1e-300))
 
 
+def _staircase(codes: FloatArray) -> float | None:
+    """The step of rising codes [dps] that are multiples of one; None if they are not.
+
+    Stored with fewer digits, or on a finer grid of its own, a code lies a little beside its multiple.
+    """
+    steps = np.diff(codes)
+    least = float(np.min(steps[steps > 1e-9 * max(np.max(np.abs(codes)), 1.0)], initial=np.inf))
+    if not np.isfinite(least):
+        return None
+    step = float(np.median(steps[steps < 1.5 * least]))
+    multiples = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])
+    lsb, _ = np.polyfit(multiples, codes, 1)
+    beside = (codes - codes[0]) / lsb - multiples
+    beside -= np.median(beside)
+    return float(lsb) if np.mean(np.abs(beside) < BESIDE) > 0.98 else None
+
+
 def quantization_finding(
     rate: FloatArray, residual: FloatArray, valid: np.ndarray, reference_dps: float = 0.0
 ) -> FastFinding | None:
@@ -189,10 +207,8 @@ def quantization_finding(
     codes = np.unique(rate[valid])
     if len(codes) < 3 or len(codes) > 0.2 * valid.sum():
         return None
-    steps = np.diff(codes)
-    lsb = float(np.min(steps[steps > 1e-9 * max(np.max(np.abs(codes)), 1.0)], initial=np.inf))
-    regular = np.abs(steps / lsb - np.rint(steps / lsb)) < 0.02
-    if not np.isfinite(lsb) or regular.mean() < 0.98:
+    lsb = _staircase(codes)
+    if lsb is None:
         return None
     differences = np.diff(residual[valid])
     spread = 1.4826 * float(np.median(np.abs(differences - np.median(differences)))) / np.sqrt(2.0)

@@ -32,7 +32,7 @@ MOST_CHI2 = (
 STRONGER = 10.0
 GIANT = 2000.0
 ONE_SHAPE = frozenset({"dead_band"})
-BOUNDS = {"dead_band": (0.5, 2.0), "saturation": (0.0, 2.5)}
+BOUNDS = {"dead_band": (0.5, 1.5), "saturation": (0.0, 2.5)}
 LONGER = 1.35
 STRICTER = {  # slow noise that is not Gaussian (a random walk, telegraph noise) draws these by itself
     "bias_drift": 1e-6,

@@ -25,6 +25,7 @@ LARGEST = 4.0
 KNOTS, CHUNK = 9, 100_000
 STIFF = 20.0
 HALF_WIDTHS = (4, 16, 64, 256)  # samples, to average a rate that stands still
+STANDING = 8  # of them on either side, by which a standstill is told
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Reference:
     """The true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
 
     `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it, `gain` the
-    smoothing per DCT coefficient.
+    smoothing per DCT coefficient; `level` [dps] is the rate where it stands still, NaN where it moves.
     """
 
     t: FloatArray
@@ -40,6 +41,7 @@ class Reference:
     noise_dps: float
     left_dps: float
     gain: FloatArray
+    level: FloatArray
     spline: interpolate.CubicSpline
 
     def moved(self, t: FloatArray, delay_s: FloatArray | float) -> FloatArray:
@@ -52,7 +54,8 @@ def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference
     noise = _shared_noise(ref, residual)
     rate, gain = _wiener(ref, noise) if noise > 0.0 else (ref, np.ones(len(ref)))
     left = float(np.sqrt(noise * np.mean(gain**2)))
-    return Reference(t, rate, float(np.sqrt(noise)), left, gain, interpolate.CubicSpline(t, rate))
+    level = levels(ref, float(np.sqrt(noise)))
+    return Reference(t, rate, float(np.sqrt(noise)), left, gain, level, interpolate.CubicSpline(t, rate))
 
 
 def unbiased(
@@ -78,6 +81,7 @@ def unbiased(
     usual = float(np.median(share * ref.gain))
     estimate = inverse_dct(spectrum * share * ref.gain) / level * (1.0 + gain * (1.0 - usual))
     rate = settled(ref.rate + np.clip(estimate, -bound, bound))
+    rate = np.where(np.isnan(ref.level), rate, ref.level)
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
@@ -104,6 +108,38 @@ def settled(rate: FloatArray) -> FloatArray:
         still = (reach >= half // 2) & (variance < noise * (1.1 + 4.0 * np.sqrt(2.0 / count)))
         out[still] = mean[still] + level
     return out
+
+
+def levels(ref: FloatArray, noise_dps: float) -> FloatArray:
+    """The level `(n,)` of a reference `(n,)` wherever it is nothing but a level and its noise, else NaN.
+
+    A level within its error of zero is a standstill and zero.  The smoothed rate keeps the slowest of the noise, which
+    is in the residual with slope one: at a standstill like a dead band.
+    """
+    found = np.full(len(ref), np.nan)
+    if noise_dps <= 0.0:
+        return found
+    size = 2 * STANDING + 1
+    mean, square = (ndimage.uniform_filter1d(v, size, mode="nearest") for v in (ref, (ref - ref.mean()) ** 2))
+    still = square - (mean - ref.mean()) ** 2 < noise_dps**2 * _spread_of(size)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        level = ref[first:end].mean()
+        if end - first < 2 * size or ref[first:end].var() > noise_dps**2 * _spread_of(end - first):
+            continue
+        near = np.abs(ref - level)[max(first - STANDING, 0) : end + STANDING] < 3.0 * noise_dps
+        part = slice(max(first - STANDING, 0), max(first - STANDING, 0) + len(near))
+        error = noise_dps / np.sqrt(end - first)
+        kept = np.flatnonzero(~near)
+        low = max([int(k) + 1 for k in kept if part.start + k < first], default=0)
+        high = min([int(k) for k in kept if part.start + k >= end], default=len(near))
+        found[part.start + low : part.start + high] = 0.0 if abs(level) < 4.0 * error else level
+    return found
+
+
+def _spread_of(count: int) -> float:
+    """How much a variance from `count` samples of noise may exceed the noise's."""
+    return 1.05 + 3.0 * float(np.sqrt(2.0 / count))
 
 
 def cleared(
