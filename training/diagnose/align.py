@@ -21,6 +21,7 @@ from training.diagnose.work import FloatArray, Work
 
 SIGNIFICANT = 30.0
 SECOND = 45.0
+SHAPE = 0.1  # of what one effect gains: its shape is not known better
 CLASS_COST = 10.0
 SIMPLER = 2.0
 ABOVE_NYQUIST = 0.55  # samples: a shorter delay may be a filter whose corner no sample shows
@@ -94,8 +95,10 @@ def align(
     if spread is not None:
         work.spread = np.sqrt(work.average(spread**2))
     span = t - 0.5 * (t[0] + t[-1])
-    base = _Base(work, _static_nuisance(work))
     slope = ref.spline(t, 1)
+    base, rolling, only_rolling = _base(work, [slope, span * slope])
+    if only_rolling:
+        return Timing(moved=ref.rate)
     first = base.gain([slope, span * slope])
     timing = _moved_fit(base, work, t, span, residual, ref)
     if (
@@ -105,9 +108,28 @@ def align(
         timing.moved = ref.rate
         return timing
     _decide(timing, base, t, span, residual, ref, lambda moved: clear(whole - (moved - ref.rate)))
+    timing.gains["misalignment"] = rolling
     timing.sample_s = float(np.median(np.diff(t)))
     timing.change_rms_dps = float(np.std((timing.moved - ref.rate)[valid]))
     return timing
+
+
+def _base(work: Work, timing: list[FloatArray]) -> tuple["_Base", float, bool]:
+    """(what timing is added to, what rolling alone gains, whether it is no timing but the roll of a tilted unit).
+
+    Rolling goes with the change of the lateral acceleration, and so nearly with that of the rate: each alone is taken
+    for the other, and what the one leaves of the other by its inexact shape is neither.
+    """
+    plain = _Base(work, _static_nuisance(work))
+    if "roll_rate" not in work.extra:
+        return plain, 0.0, False
+    rolled = _Base(work, [*_static_nuisance(work), work.extra["roll_rate"]])
+    rolling = 2.0 * (rolled.null.loglik - plain.null.loglik)
+    late = plain.gain(timing)[0]
+    both = rolling + rolled.gain(timing)[0]
+    if both - late < max(SIGNIFICANT, SHAPE * late):
+        return plain, rolling, False
+    return rolled, 0.0, both - rolling < max(SIGNIFICANT, SHAPE * rolling)
 
 
 def _static_nuisance(work: Work) -> list[FloatArray]:
@@ -225,17 +247,17 @@ def _decide(
 
 
 def rivals(timing: Timing, effect: str) -> dict[str, float]:
-    """Timing effects that explain as much as `effect` does, with what they cost."""
+    """Effects that explain as much as the timing effect `effect` does, with what they cost."""
     mine = timing.gains["drift_alone" if effect == "clock_drift" else effect]
+    gains = {"misalignment": timing.gains.get("misalignment", 0.0)}
     if effect == "timestamp_skew" and 0.0 < timing.delay_s < ABOVE_NYQUIST * timing.sample_s:
-        return {"bandwidth": 0.0}
-    if len(timing.effects) > 1 or (effect == "clock_drift" and timing.delay_s != 0.0):
-        return {}
-    gains = {
-        "timestamp_skew": timing.gains["timestamp_skew"],
-        "bandwidth": timing.gains["bandwidth"],
-        "clock_drift": timing.gains["drift_alone"],
-    }
+        gains["bandwidth"] = mine
+    elif len(timing.effects) < 2 and (effect != "clock_drift" or timing.delay_s == 0.0):
+        gains |= {
+            "timestamp_skew": timing.gains["timestamp_skew"],
+            "bandwidth": timing.gains["bandwidth"],
+            "clock_drift": timing.gains["drift_alone"],
+        }
     return {name: mine - gain for name, gain in gains.items() if name != effect and gain > mine - CLASS_COST}
 
 

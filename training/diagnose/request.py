@@ -17,6 +17,7 @@ DRIVERS = ("coil_temp_degC", "heading_deg", "speed_mps", "accel_lat_mps2", "vibr
 WINDOW, PLACES = 48, 9  # rows compared at a time, and at how many places of a held-out recording
 VARIED = 12  # different values among them, below which equal rows can be a coincidence of coarse codes
 SHARED = 0.5  # of soaked points without time
+SHARED_POWERS = (1, 3, 5, 7, 9)  # of the rate, which all recordings of a sensor share
 COMMON_K, COMMON_ROWS = 3.0, 200  # range of temperature and rows that two recordings must have in common
 ENOUGH_ROWS = 50_000  # of a recording, to tell its offset and scale factor
 TOLERANCES = 2.0  # of one sensor, each within its tolerance, two recordings differ by no more than this
@@ -174,24 +175,26 @@ def _rows(recording: Recording, static: bool) -> tuple[FloatArray, FloatArray, F
 def _differences(
     first: tuple[FloatArray, FloatArray, FloatArray], second: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[float, float] | None:
-    """(offset [°/s], scale [ppm]) of the second less the first over their common temperatures, by medians."""
+    """(offset [°/s], scale [ppm]) of the second less the first over their common temperatures and rates.
+
+    Beside a function of the rate that both share: a bent one is another line where the rates are others.
+    """
     low, high = max(first[2].min(), second[2].min()), min(first[2].max(), second[2].max())
     if high < low:
         return None
     middle = 0.5 * (low + high)
     low, high = max(low, middle - COMMON_K), min(high, middle + COMMON_K)
-    lines = []
+    top = min(float(np.max(np.abs(rate))) for _, rate, _ in (first, second))
+    parts = []
     for error, rate, temp in (first, second):
-        rows = (temp >= low) & (temp <= high)
+        rows = (temp >= low) & (temp <= high) & (np.abs(rate) <= top)
         if rows.sum() < COMMON_ROWS:
             return None
-        lines.append(_line(error[rows], rate[rows]))
-    return lines[1][0] - lines[0][0], 1e6 * (lines[1][1] - lines[0][1])
-
-
-def _line(error: FloatArray, rate: FloatArray) -> tuple[float, float]:
-    """(offset, scale) of error over rate by least squares; a scale of 0 where the rate does not move."""
-    if np.ptp(rate) < 1.0:
-        return float(np.median(error)), 0.0
-    slope, offset = np.polyfit(rate, error, 1)
-    return float(offset), float(slope)
+        parts.append((error[rows], rate[rows]))
+    if any(np.ptp(rate) < 1.0 for _, rate in parts):
+        return float(np.median(parts[1][0]) - np.median(parts[0][0])), 0.0
+    error, x = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    x, mine = x / top, np.repeat([0.0, 1.0], [len(part[0]) for part in parts])
+    shared = [np.ones(len(x)), np.abs(x), *(x**n for n in SHARED_POWERS)]
+    solution = np.linalg.lstsq(np.stack([mine, mine * x, *shared], axis=1), error, rcond=None)[0]
+    return float(solution[0]), float(1e6 * solution[1] / top)

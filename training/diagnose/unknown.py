@@ -28,7 +28,7 @@ REMAINDER_ALPHA = (
 MUST_ADD = (
     0.3  # share of the remainder that the function must explain beyond what the name does, or the name stands
 )
-SEVERAL_STAND = 0.97  # one smooth function in the place of several names: simpler, if it explains as much
+SEVERAL_STAND = 1.0  # one smooth function in the place of several names: simpler, if it explains as much
 TURNING = frozenset({"magnetic", "table_eccentricity"})
 TIME_WEIGHT = (
     0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
