@@ -150,7 +150,7 @@ def creep(seed, lock_dps, reference_dps):
     """Slow rates through zero past a reference that is noisier than the dead band is wide."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 3000.0, 0.1)
-    true = 0.4 * np.sin(2 * np.pi * t / 240.0) * np.sin(2 * np.pi * t / 1700.0)
+    true = 0.7 * np.sin(2 * np.pi * t / 240.0) * np.sin(2 * np.pi * t / 1700.0)
     shown = np.where(np.abs(true) < lock_dps, 0.0, true) + 2e-3 * rng.standard_normal(len(t))
     reference = true + reference_dps * rng.standard_normal(len(t))
     return Recording(f"creep{seed}", {"t_s": t, "rate_dps": shown, "ref_rate_dps": reference})

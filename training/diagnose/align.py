@@ -21,6 +21,9 @@ from training.diagnose.work import FloatArray, Work
 
 SIGNIFICANT = 30.0
 SECOND = 45.0
+STEEP = (
+    10.0  # the rate's slope beside that of the reference's noise, below which the noise may look like a delay
+)
 SHAPE = 0.1  # of what one effect gains: its shape is not known better
 CLASS_COST = 10.0
 SIMPLER = 2.0
@@ -89,7 +92,7 @@ def align(
     """
     t = columns["t_s"]
     residual = clear(whole)
-    if np.ptp(ref.rate) < 0.5:
+    if np.ptp(ref.rate) < 0.5 or ref.slope_to_noise() < STEEP:
         return Timing(moved=ref.rate)
     work = prepare("timing", columns, residual, np.zeros(len(t)), ref.rate, valid, max_blocks=MAX_ROWS)
     if spread is not None:
@@ -126,6 +129,8 @@ def _base(work: Work, timing: list[FloatArray]) -> tuple["_Base", float, bool]:
     rolled = _Base(work, [*_static_nuisance(work), work.extra["roll_rate"]])
     rolling = 2.0 * (rolled.null.loglik - plain.null.loglik)
     late = plain.gain(timing)[0]
+    if late < SIGNIFICANT:
+        return plain, 0.0, False
     both = rolling + rolled.gain(timing)[0]
     if both - late < max(SIGNIFICANT, SHAPE * late):
         return plain, rolling, False

@@ -22,6 +22,7 @@ LINE_LOG_P = -16.0
 WEIGHT_GAIN = 20.0
 LSB_TO_NOISE = 2.5
 BESIDE = 0.06  # of a step
+KNOWN_TO = 6.0  # standard errors of a variance, between the reference's noise and what the residual has of it
 
 
 @dataclass
@@ -213,7 +214,8 @@ def quantization_finding(
     differences = np.diff(residual[valid])
     spread = 1.4826 * float(np.median(np.abs(differences - np.median(differences)))) / np.sqrt(2.0)
     total = float(np.std(differences)) / np.sqrt(2.0)
-    spread, total = (float(np.sqrt(max(v * v - reference_dps**2, 0.0))) for v in (spread, total))
+    surely = reference_dps**2 * (1.0 - KNOWN_TO / np.sqrt(len(differences)))  # a noise is known from samples
+    spread, total = (float(np.sqrt(max(v * v - surely, 0.0))) for v in (spread, total))
     expected = lsb / np.sqrt(12.0)
     other = float(np.sqrt(max(total**2 - expected**2, 0.0)))
     if expected < 0.8 * min(total, max(spread, expected)) or other > lsb / LSB_TO_NOISE:

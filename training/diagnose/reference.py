@@ -33,7 +33,7 @@ class Reference:
     """The true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
 
     `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it, `gain` the
-    smoothing per DCT coefficient; `level` [dps] is the rate where it stands still, NaN where it moves.
+    smoothing per DCT coefficient; `still` is zero where it stands still, NaN where it moves.
     """
 
     t: FloatArray
@@ -41,12 +41,20 @@ class Reference:
     noise_dps: float
     left_dps: float
     gain: FloatArray
-    level: FloatArray
+    still: FloatArray
     spline: interpolate.CubicSpline
 
     def moved(self, t: FloatArray, delay_s: FloatArray | float) -> FloatArray:
         """The rate as a channel that is late by `delay_s` shows it, ω(t − τ)."""
         return self.spline(np.clip(t - delay_s, t[0], t[-1]))
+
+    def slope_to_noise(self) -> float:
+        """How steep the rate is beside what the smoothing leaves of its noise's slope; rms over rms."""
+        count, step_s = len(self.t), float(np.median(np.diff(self.t)))
+        frequency = np.pi * np.arange(count) / (count * step_s)
+        noise = self.noise_dps * float(np.sqrt(np.mean((self.gain * frequency) ** 2)))
+        slope = float(np.sqrt(np.mean(self.spline(self.t, 1) ** 2)))
+        return slope / noise if noise > 0.0 else np.inf
 
 
 def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference:
@@ -54,8 +62,8 @@ def reference(t: FloatArray, ref: FloatArray, residual: FloatArray) -> Reference
     noise = _shared_noise(ref, residual)
     rate, gain = _wiener(ref, noise) if noise > 0.0 else (ref, np.ones(len(ref)))
     left = float(np.sqrt(noise * np.mean(gain**2)))
-    level = levels(ref, float(np.sqrt(noise)))
-    return Reference(t, rate, float(np.sqrt(noise)), left, gain, level, interpolate.CubicSpline(t, rate))
+    still = standstills(ref, float(np.sqrt(noise)))
+    return Reference(t, rate, float(np.sqrt(noise)), left, gain, still, interpolate.CubicSpline(t, rate))
 
 
 def unbiased(
@@ -81,7 +89,7 @@ def unbiased(
     usual = float(np.median(share * ref.gain))
     estimate = inverse_dct(spectrum * share * ref.gain) / level * (1.0 + gain * (1.0 - usual))
     rate = settled(ref.rate + np.clip(estimate, -bound, bound))
-    rate = np.where(np.isnan(ref.level), rate, ref.level)
+    rate = np.where(np.isnan(ref.still), rate, ref.still)
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
@@ -110,11 +118,11 @@ def settled(rate: FloatArray) -> FloatArray:
     return out
 
 
-def levels(ref: FloatArray, noise_dps: float) -> FloatArray:
-    """The level `(n,)` of a reference `(n,)` wherever it is nothing but a level and its noise, else NaN.
+def standstills(ref: FloatArray, noise_dps: float) -> FloatArray:
+    """Zero wherever a reference `(n,)` is a level within its error of zero and noise, else NaN, `(n,)`.
 
-    A level within its error of zero is a standstill and zero.  The smoothed rate keeps the slowest of the noise, which
-    is in the residual with slope one: at a standstill like a dead band.
+    The smoothed rate keeps the slowest of the noise, which is in the residual with slope one: at a standstill like a
+    dead band.  Only of zero is the level known without that noise.
     """
     found = np.full(len(ref), np.nan)
     if noise_dps <= 0.0:
@@ -125,15 +133,19 @@ def levels(ref: FloatArray, noise_dps: float) -> FloatArray:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         level = ref[first:end].mean()
-        if end - first < 2 * size or ref[first:end].var() > noise_dps**2 * _spread_of(end - first):
+        error = noise_dps / np.sqrt(end - first)
+        if (
+            end - first < 2 * size
+            or abs(level) > 4.0 * error
+            or ref[first:end].var() > noise_dps**2 * _spread_of(end - first)
+        ):
             continue
         near = np.abs(ref - level)[max(first - STANDING, 0) : end + STANDING] < 3.0 * noise_dps
         part = slice(max(first - STANDING, 0), max(first - STANDING, 0) + len(near))
-        error = noise_dps / np.sqrt(end - first)
         kept = np.flatnonzero(~near)
         low = max([int(k) + 1 for k in kept if part.start + k < first], default=0)
         high = min([int(k) for k in kept if part.start + k >= end], default=len(near))
-        found[part.start + low : part.start + high] = 0.0 if abs(level) < 4.0 * error else level
+        found[part.start + low : part.start + high] = 0.0
     return found
 
 

@@ -169,7 +169,8 @@ def _rows(recording: Recording, static: bool) -> tuple[FloatArray, FloatArray, F
         return None
     c, valid = checked.columns, checked.valid
     temp = c.get("temp_degC", np.full(len(valid), 25.0))
-    return (c["rate_dps"] - c["ref_rate_dps"])[valid], c["ref_rate_dps"][valid], temp[valid]
+    simulated = c.get("sim_rate_dps", c["ref_rate_dps"])
+    return (c["rate_dps"] - simulated)[valid], c["ref_rate_dps"][valid], temp[valid]
 
 
 def _differences(
@@ -177,7 +178,7 @@ def _differences(
 ) -> tuple[float, float] | None:
     """(offset [°/s], scale [ppm]) of the second less the first over their common temperatures and rates.
 
-    Beside a function of the rate that both share: a bent one is another line where the rates are others.
+    Beside functions of both that the two share: a bent one is another line where the rates are others.
     """
     low, high = max(first[2].min(), second[2].min()), min(first[2].max(), second[2].max())
     if high < low:
@@ -190,11 +191,11 @@ def _differences(
         rows = (temp >= low) & (temp <= high) & (np.abs(rate) <= top)
         if rows.sum() < COMMON_ROWS:
             return None
-        parts.append((error[rows], rate[rows]))
-    if any(np.ptp(rate) < 1.0 for _, rate in parts):
+        parts.append((error[rows], rate[rows], (temp[rows] - middle) / COMMON_K))
+    if any(np.ptp(rate) < 1.0 for _, rate, _ in parts):
         return float(np.median(parts[1][0]) - np.median(parts[0][0])), 0.0
-    error, x = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    error, x, h = (np.concatenate([part[i] for part in parts]) for i in range(3))
     x, mine = x / top, np.repeat([0.0, 1.0], [len(part[0]) for part in parts])
-    shared = [np.ones(len(x)), np.abs(x), *(x**n for n in SHARED_POWERS)]
+    shared = [np.ones(len(x)), np.abs(x), *(x**n for n in SHARED_POWERS), h, h * x, h * x**3]
     solution = np.linalg.lstsq(np.stack([mine, mine * x, *shared], axis=1), error, rcond=None)[0]
     return float(solution[0]), float(1e6 * solution[1] / top)
