@@ -108,9 +108,13 @@ def check_rows(inputs: np.ndarray, error_dps: np.ndarray, names: Sequence[str], 
     parameters = rules * (3 * inputs.shape[1] + 1)
     if len(inputs) < parameters:
         raise RequestError(
-            f"{len(inputs)} points for {parameters} parameters ({rules} rules, {inputs.shape[1]} inputs): "
+            f"{len(inputs)} points for {parameters} parameters ({_rules(rules)}, {inputs.shape[1]} inputs): "
             "record more points or ask for fewer rules"
         )
+
+
+def _rules(count: int) -> str:
+    return f"{count} rule{'s' if count > 1 else ''}"
 
 
 def _consequents(inputs: np.ndarray, error: np.ndarray, found: Clustering, options: TsOptions) -> TsFit:
@@ -189,7 +193,7 @@ def choose_rules(
     if not scores:
         reason = refused[min(refused)]
         raise RequestError(
-            f"not even {min(refused)} rules can be fitted to a part of the recording: {reason}"
+            f"not even {_rules(min(refused))} can be fitted to a part of the recording: {reason}"
         )
     best = min(scores, key=lambda count: scores[count][0])
     limit = sum(scores[best])

@@ -105,8 +105,7 @@ def command(
     Example:
         rtcomp diagnose drive1.csv.gz drive2.csv.gz --heldout drive3.csv.gz --out found
     """
-    from training.diagnose.document import to_json
-    from training.diagnose.report import probability
+    from training.diagnose.document import probability, to_json
     from training.diagnose.run import run_diagnose
     from training.diagnose.settings import Settings
     from training.table import parse_columns
@@ -141,7 +140,8 @@ def command(
         p_value = probability(finding.p_value)
         click.echo(f"  {finding.status:9s} {names}: {finding.rms_dps:.3g} °/s rms, p {p_value}")
     fit, where = found.fit, "held-out recordings" if found.fit.heldout else "held-out blocks"
-    click.echo(f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {where}")
+    if fit.rms_before_dps > 0.0:
+        click.echo(f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {where}")
     click.echo(f"report: {out / 'report.html'}")
 
 

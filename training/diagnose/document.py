@@ -142,6 +142,11 @@ def to_json(diagnosis: Diagnosis) -> str:
     )
 
 
+def probability(value: float) -> str:
+    """A p-value for people; what is too small to mean anything is not printed as if it did."""
+    return "< 1e-12" if value <= 1e-12 else f"= {value:.1g}"
+
+
 def _finite(value: Any) -> Any:
     """Replace what JSON has no number for: ±inf by ±1e308, NaN by 0 with no claim attached to it."""
     if isinstance(value, float) and not math.isfinite(value):

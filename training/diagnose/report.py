@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from training.diagnose import pictures
-from training.diagnose.document import Diagnosis
+from training.diagnose.document import Diagnosis, probability
 from training.diagnose.pipeline import Analysis
 from training.effects.catalogue import catalogue
 
@@ -39,11 +39,6 @@ def title_of(effect_id: str) -> str:
 def number(value: float | None, digits: int = 4) -> str:
     """A number for people: four significant digits."""
     return "–" if value is None else f"{value:.{digits}g}"
-
-
-def probability(value: float) -> str:
-    """A p-value for people; what is too small to mean anything is not printed as if it did."""
-    return "< 1e-12" if value <= 1e-12 else f"= {value:.1g}"
 
 
 def report_html(analysis: Analysis, diagnosis: Diagnosis) -> str:

@@ -1,6 +1,14 @@
 """The verdict: the whole document of a finished analysis, and one sentence for a person."""
 
-from training.diagnose.document import Diagnosis, Driver, Finding, FitResult, RecordingNote, Remainder
+from training.diagnose.document import (
+    Diagnosis,
+    Driver,
+    Finding,
+    FitResult,
+    RecordingNote,
+    Remainder,
+    probability,
+)
 from training.diagnose.findings import BAD, alignments, early_findings, findings_of, unknown_finding
 from training.diagnose.noise import noise_note
 from training.diagnose.pipeline import Analysis
@@ -8,8 +16,6 @@ from training.diagnose.prove import summary
 from training.diagnose.unknown import Located, ranked
 from training.diagnose.visible import not_excited, visible_from
 from training.effects.catalogue import effect
-
-LEAST_P = 1e-12
 
 
 def conclude(analysis: Analysis) -> Diagnosis:
@@ -101,12 +107,10 @@ def _verdict(analysis: Analysis, findings: list[Finding]) -> tuple[str, str]:
             f"{title} ({size}), but these recordings cannot tell it from {rest}; to separate: {first.separate_by}.",
         )
     others = f", beside {', '.join(f.effect for f in findings[1:])}" if len(findings) > 1 else ""
-    return "named", f"{title} is missing from the simulation ({size}, {_chance(first.p_value)}){others}."
-
-
-def _chance(p_value: float) -> str:
-    """The p-value for a person; nobody knows a tail further out than this."""
-    return f"p = {p_value:.1g}" if p_value > LEAST_P else f"p < {LEAST_P:.0e}"
+    return (
+        "named",
+        f"{title} is missing from the simulation ({size}, p {probability(first.p_value)}){others}.",
+    )
 
 
 def _silent(analysis: Analysis) -> tuple[str, str]:
