@@ -97,14 +97,14 @@ SUBSCRIBER = """
 import json, sys, time, numpy as np, zenoh
 config = zenoh.Config.from_file(sys.argv[1])
 with zenoh.open(config) as session:
-    payloads = []
-    subscriber = session.declare_subscriber("fleet/yaw/rate", lambda m: payloads.append(m.payload.to_bytes()))
     print("ready", flush=True)
     layout = None
     while layout is None:
         for reply in session.get("fleet/yaw/schema", timeout=1.0):
             layout = json.loads(reply.ok.payload.to_string())
         time.sleep(0.05)
+    payloads = []
+    subscriber = session.declare_subscriber("fleet/yaw/rate", lambda m: payloads.append(m.payload.to_bytes()))
     seen, quiet = -1, 0
     while quiet < 15:
         quiet = quiet + 1 if len(payloads) == seen and seen > 0 else 0
@@ -155,7 +155,7 @@ def test_a_foreign_subscriber_reads_the_stream_from_its_schema_alone(tmp_path, f
     ) as process:
         assert process.stdout.readline().strip() == "ready"
         result = rtcomp("run", "--log", str(log), "--model", str(model), "--zenoh", ours, "--prefix", "fleet",
-                        "--wait-subscriber", "10", "--json")  # fmt: skip
+                        "--wait-subscriber", "60", "--json")  # fmt: skip
         assert result.returncode == 0, result.stderr
         assert process.wait(timeout=60) == 0
     samples = np.load(got)

@@ -204,7 +204,7 @@ def test_what_is_not_ours_is_said_in_one_sentence(session, tmp_path):
     session.declare_queryable("t/y/schema", lambda query: query.reply("t/y/schema", "<html>"))
     for key, payload, told in (
         ("t/x/batch", b"abc", "t/x/schema is not a sample's layout"),
-        ("t/y/batch", b"abc", "t/y/schema answers what is not JSON"),
+        ("t/y/batch", b"abc", "t/y/schema says what is not JSON"),
         ("t/z/batch", b"abc", "3 bytes are not samples"),
     ):
         with open_sink(save=tmp_path / "n.rrd") as sink:
