@@ -98,3 +98,18 @@ def test_unusable_recordings_say_why(spoil):
     else:
         c["rate_dps"] = np.full_like(c["rate_dps"], np.nan)
     assert check(c, static=False).unusable
+
+
+def test_a_staircase_is_one_though_its_codes_are_stored_on_a_finer_grid():
+    from training.diagnose.fast import quantization_finding
+
+    rng = np.random.default_rng(3)
+    rate = 30.0 * np.sin(np.arange(20_000) / 300.0) + 2e-3 * rng.standard_normal(20_000)
+    every = np.ones(len(rate), bool)
+    coarse = np.rint(np.rint(rate / 0.0713) * 0.0713 / 0.003) * 0.003
+    found = quantization_finding(coarse, coarse - rate, every)
+    assert found is not None
+    assert abs(found.parameters["lsb_dps"][0] / 0.0713 - 1.0) < 1e-3
+    fine = np.rint(rate / 1e-3) * 1e-3
+    noisy = 0.026 * rng.standard_normal(len(rate))
+    assert quantization_finding(fine, fine - rate + noisy, every, 0.0262) is None

@@ -5,7 +5,7 @@ import pytest
 from diagnose_cases import profile, recording
 
 from training.diagnose.orders import without_orders
-from training.diagnose.reference import cleared, reference, settled, unbiased
+from training.diagnose.reference import cleared, reference, settled, standstills, unbiased
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
 
@@ -35,6 +35,33 @@ def test_a_rate_is_averaged_where_it_stands_and_kept_where_it_moves():
     assert np.max(np.abs(found - rate)) < 0.1
     swing = 30.0 * np.sin(2.0 * np.pi * t / 20.0) + (ref - rate)
     assert np.std(settled(swing) - (swing - (ref - rate))) < 1.05 * 0.02
+
+
+def test_only_a_standstill_at_zero_is_zero():
+    rng = np.random.default_rng(7)
+    rate = np.repeat([0.0, 5.0, 0.0, 0.3, 0.0], [400, 300, 60, 400, 30])
+    rate[-30:] = np.linspace(0.0, 40.0, 30)
+    still = standstills(rate + 0.02 * rng.standard_normal(len(rate)), 0.02)
+    known = np.isfinite(still)
+    assert known[10:390].all()
+    assert known[710:750].all()
+    assert not known[410:690].any()
+    assert not known[770:].any()
+    assert np.all(still[known] == 0.0)
+    t = np.arange(0.0, 600.0, 0.1)
+    creep = 0.3 * np.sin(2.0 * np.pi * t / 200.0)
+    assert np.isfinite(standstills(creep + 0.02 * rng.standard_normal(len(t)), 0.02)).mean() < 0.02
+
+
+def test_the_slope_is_weighed_against_the_noise_of_the_reference():
+    t = np.arange(0.0, 600.0, 0.1)
+    nu = 0.02 * np.random.default_rng(8).standard_normal(len(t))
+    slow, fast = (
+        reference(t, a * np.sin(2.0 * np.pi * t / p) + nu, -nu) for a, p in ((0.4, 240.0), (40.0, 24.0))
+    )
+    assert slow.slope_to_noise() < 3.0
+    assert fast.slope_to_noise() > 30.0
+    assert reference(t, np.sin(t), np.random.default_rng(9).standard_normal(len(t))).slope_to_noise() > 30.0
 
 
 def test_a_reference_whose_noise_the_residual_does_not_show_has_none():

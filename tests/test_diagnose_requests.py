@@ -11,7 +11,10 @@ import pytest
 from diagnose_cases import lag_effect, recording
 
 from rtcomp.cli import main
+from rtcomp.errors import RequestError
 from training.diagnose.folder import staged
+from training.diagnose.request import one_sensor
+from training.diagnose.settings import Settings
 from training.table import Recording, write_recording
 
 
@@ -168,6 +171,24 @@ def test_two_held_out_of_one_name(tmp_path, sound):
 def test_points_and_time_series_together(tmp_path, sound):
     path = write(CASE, tmp_path / "a.csv", t_s=None)
     refused(call(sound, path, out=tmp_path / "o"), tmp_path / "o", "a has no t_s")
+
+
+def test_a_bent_scale_factor_over_other_rates_is_no_other_sensor():
+    def bent(seed, top):
+        rng = np.random.default_rng(seed)
+        rate = top * np.sin(np.arange(4000) / 90.0)
+        shown = rate - 2e-6 * rate**3 + 3e-3 * rng.standard_normal(len(rate))
+        temp = np.full(len(rate), 25.0)
+        return Recording(
+            f"bent{seed}",
+            {"t_s": np.arange(4000) * 0.1, "rate_dps": shown, "ref_rate_dps": rate, "temp_degC": temp},
+        )
+
+    one_sensor([bent(1, 180.0), bent(2, 60.0)], Settings())
+    other = bent(2, 60.0)
+    other.columns["rate_dps"] = 1.04 * other["rate_dps"]
+    with pytest.raises(RequestError, match="different sensors"):
+        one_sensor([bent(1, 180.0), other], Settings())
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1.04, 0.0), (1.0, 1.6)])

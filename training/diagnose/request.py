@@ -44,7 +44,7 @@ def check_request(
             _no_shared_rows(held, recording)
     _temperatures(everything)
     everything = _common(everything)
-    _one_sensor(everything, settings)
+    one_sensor(everything, settings)
     return everything[: len(recordings)], everything[len(recordings) :]
 
 
@@ -137,7 +137,7 @@ def _common(recordings: Sequence[Recording]) -> list[Recording]:
     ]
 
 
-def _one_sensor(recordings: Sequence[Recording], settings: Settings) -> None:
+def one_sensor(recordings: Sequence[Recording], settings: Settings) -> None:
     """Refuse recordings whose offsets or scale factors, at the temperatures they share, no one sensor has."""
     parts = [_rows(r, settings.static) for r in recordings] if len(recordings) > 1 else []
     for i, first in enumerate(parts):
