@@ -142,10 +142,10 @@ ODD_POWERS: dict[int, tuple[tuple[int, int], ...]] = {
     5: ((3, 0), (5, 0), (7, 0)),
     6: ((3, 0), (5, 0), (7, 0), (9, 0)),
     7: ((3, 0), (5, 0), (7, 0), (9, 0), (11, 0)),
-    8: ((3, 0), (5, 0), (7, 0), (9, 0), (3, 1), (5, 1)),
+    8: ((3, 0), (5, 0), (7, 0), (9, 0), (3, 1)),
 }
 """Which ω^n·h^k a nonlinearity may consist of; from the fifth on only where it is so large that its shape shows."""
-BEYOND = frozenset({(7, 0), (9, 0), (11, 0), (5, 1)})
+BEYOND = frozenset({(7, 0), (9, 0), (11, 0)})
 HUNDRED_DPS = 100.0  # high powers are of the rate in hundreds, or their size would leave every range
 
 
@@ -182,7 +182,7 @@ def nonlinearity_names(p: Parameters) -> list[tuple[str, str]]:
         (5, 0): ("c5_per_dps4", "1/dps^4"),
         (3, 1): ("c3h_per_dps2_per_K", "1/(dps^2 K)"),
     }
-    beyond = {(n, k): (f"c{n}h_dps_per_K", "dps/K") if k else (f"c{n}_dps", "dps") for n, k in BEYOND}
+    beyond = {(n, k): (f"c{n}_dps", "dps") for n, k in BEYOND}
     return [(known | beyond)[kind] for kind in ODD_POWERS[int(p["order"])]]
 
 

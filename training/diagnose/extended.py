@@ -117,14 +117,10 @@ def _higher_orders(
 ) -> tuple[list[Term], dict[str, float]]:
     """(a piecewise linear term of the orders that the polynomial's own term has no names for, the other values).
 
-    b4…, s4… go with the temperature above room, c7… with the rate; what goes with both has no such term.
+    b4…, s4… go with the temperature above room, c7… with the rate.
     """
     powers = {name: int(re.findall(r"\d+", name)[0]) for name in values}  # of b4_…, s4_…, c7_…
-    beyond = {
-        name: v
-        for name, v in values.items()
-        if name not in known and not name.startswith(f"c{powers[name]}h")
-    }
+    beyond = {name: v for name, v in values.items() if name not in known}
     driver = "rate" if any(name.startswith("c") for name in beyond) else "temperature"
     knots = np.linspace(*ranges[driver], HIGH_CORNERS)
     base = knots / HUNDRED_DPS if driver == "rate" else knots - ROOM_DEGC
