@@ -186,7 +186,7 @@ def nonlinearity_names(p: Parameters) -> list[tuple[str, str]]:
     return [(known | beyond)[kind] for kind in ODD_POWERS[int(p["order"])]]
 
 
-WASHED_OUT = 1.5  # a dead band narrower than this many times the noise left in the rate cannot be seen
+WASHED_OUT = 2.0  # a dead band narrower than this many times the noise left in the rate cannot be seen
 NORMAL_NODES = [
     (float(x), float(share / np.sqrt(2.0 * np.pi)))
     for x, share in zip(*np.polynomial.hermite_e.hermegauss(9), strict=True)
