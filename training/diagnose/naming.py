@@ -36,7 +36,7 @@ BOUNDS = {"dead_band": (0.5, 1.5), "saturation": (0.0, 2.5)}
 LONGER = 1.35
 STRICTER = {  # noise that is not what it is taken for (a random walk, telegraph noise) draws these by itself
     "bias_drift": 1e-6,
-    "dead_band": 1e-6,  # a few samples of a noisy reference near zero look like one
+    "dead_band": 1e-9,  # a few samples of a noisy reference near zero look like one
     "bias_step": 1e-5,
     "magnetic": 1e-5,
     "bias_warmup": 1e-4,
