@@ -5,7 +5,7 @@ folding takes one stage in turn, and percentiles are read from the histogram's c
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,27 +59,27 @@ class Stage:
         return found
 
 
+class Passage(NamedTuple):
+    """When the samples of one batch, `(n,)`, passed: their frames, taken, corrected [ns]; they went out between two."""
+
+    t_ns: np.ndarray
+    t_received_ns: np.ndarray
+    t_corrected_ns: np.ndarray
+    t_put_ns: int
+    t_out_ns: int
+
+
 class Timeline:
     """When samples passed each stage [ns]; to be used from one thread only."""
 
     def __init__(self) -> None:
         self.stages = {name: Stage() for name in STAGES}
-        self._noted: list[tuple[np.ndarray, np.ndarray, np.ndarray, int, int]] = []
+        self._noted: list[Passage] = []
         self._next = 0
 
-    def note(
-        self,
-        t_ns: np.ndarray,
-        t_received_ns: np.ndarray,
-        t_corrected_ns: np.ndarray,
-        t_put_ns: int,
-        t_out_ns: int,
-    ) -> None:
-        """Samples `(n,)` of one batch: the times of their frames; they went out from `t_put_ns` to `t_out_ns`.
-
-        The arrays are not copied: they have to stay as they are until `spread`.
-        """
-        self._noted.append((t_ns, t_received_ns, t_corrected_ns, t_put_ns, t_out_ns))
+    def note(self, passage: Passage) -> None:
+        """One batch went out; its arrays are not copied, they have to stay as they are until `spread`."""
+        self._noted.append(passage)
 
     def spread(self) -> None:
         """Give the stages what was noted."""

@@ -13,7 +13,7 @@ import numpy as np
 from rtcomp.batches import Batches
 from rtcomp.encodings import ENCODERS, MIME
 from rtcomp.frames import c_declaration, schema
-from rtcomp.latency import STAGES, Timeline
+from rtcomp.latency import STAGES, Passage, Timeline
 from rtcomp.probe import LEAF, read_told
 from rtcomp.sample_queue import Batch, BatchQueue, SampleQueue
 
@@ -176,7 +176,7 @@ class Publisher:
                 put = self._rates[index].put
                 for payload in self._encode(mine, name):
                     put(payload)
-                self.timeline.note(mine["t_ns"], received, corrected, t_pub_ns, self._clock_ns())
+                self.timeline.note(Passage(mine["t_ns"], received, corrected, t_pub_ns, self._clock_ns()))
                 self._batches.add(index, mine)
         self.published += len(batch.corrected)
         self._unsettled += len(batch.corrected)

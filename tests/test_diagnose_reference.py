@@ -41,16 +41,14 @@ def test_only_a_standstill_at_zero_is_zero():
     rng = np.random.default_rng(7)
     rate = np.repeat([0.0, 5.0, 0.0, 0.3, 0.0], [400, 300, 60, 400, 30])
     rate[-30:] = np.linspace(0.0, 40.0, 30)
-    still = standstills(rate + 0.02 * rng.standard_normal(len(rate)), 0.02)
-    known = np.isfinite(still)
+    known = standstills(rate + 0.02 * rng.standard_normal(len(rate)), 0.02)
     assert known[10:390].all()
     assert known[710:750].all()
     assert not known[410:690].any()
     assert not known[770:].any()
-    assert np.all(still[known] == 0.0)
     t = np.arange(0.0, 600.0, 0.1)
     creep = 0.3 * np.sin(2.0 * np.pi * t / 200.0)
-    assert np.isfinite(standstills(creep + 0.02 * rng.standard_normal(len(t)), 0.02)).mean() < 0.02
+    assert standstills(creep + 0.02 * rng.standard_normal(len(t)), 0.02).mean() < 0.02
 
 
 def test_the_slope_is_weighed_against_the_noise_of_the_reference():

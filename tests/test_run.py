@@ -14,7 +14,7 @@ from rtcomp import fog_format
 from rtcomp.config import RunConfig, load_config, override
 from rtcomp.errors import RequestError
 from rtcomp.frames import CORRECTED, Flag
-from rtcomp.model import model_document, save_model
+from rtcomp.model import model_document, parse_model, save_model
 from rtcomp.pipeline import Pipeline
 from rtcomp.run import Runner, load_stacks
 from rtcomp.sources.bus import open_can
@@ -47,10 +47,10 @@ def live(config, frames, during=lambda runner: None, speed=0):
     loop.start()
     with open_can(config.bus) as bus:
         half = len(frames) // 2
-        for part in (frames[:half], frames[half:]):
+        for part, sent in ((frames[:half], half), (frames[half:], len(frames))):
             replay([part], bus, speed=speed, stop=threading.Event())
+            wait_for(lambda sent=sent: runner.pipeline.counts["frames"] >= sent)
             during(runner)
-    wait_for(lambda: runner.pipeline.counts["frames"] >= len(frames))
     runner.stop()
     loop.join()
     runner.close()
@@ -199,11 +199,16 @@ def test_a_model_put_to_the_opt_in_key_is_swapped_in_and_a_broken_one_is_not(
 ):
     config = RunConfig(bus="virtual:test-swap", model=[model_file], allow_swap=True)
 
+    document = json.dumps(model_document(ts_model))
+    swapped_in = parse_model(document, "the model put")
+
     def put(runner):
+        before = sum(runner.swapper.counts.values())
         session = runner.publisher.session
         session.put("rtcomp/yaw/model/swap", b"{broken")
-        session.put("rtcomp/yaw/model/swap", json.dumps(model_document(ts_model)))
-        wait_for(lambda: sum(runner.swapper.counts.values()) >= 2)
+        session.put("rtcomp/yaw/model/swap", document)
+        wait_for(lambda: sum(runner.swapper.counts.values()) >= before + 2)
+        wait_for(lambda: runner.pipeline.stacks[0][0] == swapped_in)
 
     runner, listener = live(config, fog_frames(4.0), put)
     samples = listener.samples()
@@ -211,7 +216,7 @@ def test_a_model_put_to_the_opt_in_key_is_swapped_in_and_a_broken_one_is_not(
     assert np.array_equal(samples["seq"], np.arange(len(samples)))
     swapped = samples["flags"] & Flag.MODEL_SWAPPED
     assert np.count_nonzero(swapped) == 1  # the second came after the last frame
-    assert runner.pipeline.stacks[0][0] == ts_model or runner._swap
+    assert runner.pipeline.stacks[0][0] == swapped_in
 
 
 def test_swaps_are_off_by_default(fog_frames, ts_model, model_file):

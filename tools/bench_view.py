@@ -28,7 +28,7 @@ from typing import Any
 import click
 import numpy as np
 
-from rtcomp.latency import Timeline
+from rtcomp.latency import Passage, Timeline
 from rtcomp.view.sinks import LOOPBACK, free_port
 
 RATE_HZ = 1000
@@ -45,18 +45,11 @@ class Kept(Timeline):
         super().__init__()
         self.rows, self.used = np.zeros((ROWS, 2), np.int64), 0
 
-    def note(
-        self,
-        t_ns: np.ndarray,
-        t_received_ns: np.ndarray,
-        t_corrected_ns: np.ndarray,
-        t_put_ns: int,
-        t_out_ns: int,
-    ) -> None:
-        """Samples of one batch."""
-        super().note(t_ns, t_received_ns, t_corrected_ns, t_put_ns, t_out_ns)
-        stretch = self.rows[self.used : self.used + len(t_ns)]
-        stretch[:, 0], stretch[:, 1] = time.monotonic_ns(), t_put_ns - t_ns[: len(stretch)]
+    def note(self, passage: Passage) -> None:
+        """One batch went out."""
+        super().note(passage)
+        stretch = self.rows[self.used : self.used + len(passage.t_ns)]
+        stretch[:, 0], stretch[:, 1] = time.monotonic_ns(), passage.t_put_ns - passage.t_ns[: len(stretch)]
         self.used += len(stretch)
 
 

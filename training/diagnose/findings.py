@@ -53,10 +53,10 @@ def _finding(name: str, others: Sequence[str], **rest: object) -> Finding:
     )
 
 
-def findings_of(analysis: Analysis) -> list[Finding]:
-    """All findings, strongest first."""
+def findings_of(analysis: Analysis, early: Sequence[Finding]) -> list[Finding]:
+    """All findings, those of the early stages among them, strongest first."""
     found = [
-        *early_findings(analysis),
+        *early,
         *_coefficients(analysis),
         *noise_findings(analysis),
     ]

@@ -36,7 +36,7 @@ from training.table import Recording
 logger = logging.getLogger(__name__)
 MIN_BLOCKS = 24
 FOLLOWING = frozenset({"multiplicative_noise", "timing_jitter"})
-WAKE = 0.015
+WAKE = 0.015  # of a named error's size, below which a noise that follows the motion is only what that leaves
 Progress = Callable[[str], None]
 
 

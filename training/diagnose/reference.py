@@ -33,7 +33,7 @@ class Reference:
     """The true rate [dps] on the recording's rows, a spline through it, and its white noise [dps].
 
     `noise_dps` is the deviation per sample as recorded, `left_dps` what the smoothing leaves of it, `gain` the
-    smoothing per DCT coefficient; `still` is zero where it stands still, NaN where it moves.
+    smoothing per DCT coefficient; `still` says where it stands still.
     """
 
     t: FloatArray
@@ -41,7 +41,7 @@ class Reference:
     noise_dps: float
     left_dps: float
     gain: FloatArray
-    still: FloatArray
+    still: NDArray[np.bool_]
     spline: interpolate.CubicSpline
 
     def moved(self, t: FloatArray, delay_s: FloatArray | float) -> FloatArray:
@@ -89,7 +89,7 @@ def unbiased(
     usual = float(np.median(share * ref.gain))
     estimate = inverse_dct(spectrum * share * ref.gain) / level * (1.0 + gain * (1.0 - usual))
     rate = settled(ref.rate + np.clip(estimate, -bound, bound))
-    rate = np.where(np.isnan(ref.still), rate, ref.still)
+    rate = np.where(ref.still, 0.0, rate)
     return replace(ref, rate=rate, spline=interpolate.CubicSpline(ref.t, rate))
 
 
@@ -118,13 +118,13 @@ def settled(rate: FloatArray) -> FloatArray:
     return out
 
 
-def standstills(ref: FloatArray, noise_dps: float) -> FloatArray:
-    """Zero wherever a reference `(n,)` is a level within its error of zero and noise, else NaN, `(n,)`.
+def standstills(ref: FloatArray, noise_dps: float) -> NDArray[np.bool_]:
+    """Whether a reference `(n,)` is nothing but a level within its error of zero and noise, `(n,)`.
 
     The smoothed rate keeps the slowest of the noise, which is in the residual with slope one: at a standstill like a
     dead band.  Only of zero is the level known without that noise.
     """
-    found = np.full(len(ref), np.nan)
+    found = np.zeros(len(ref), bool)
     if noise_dps <= 0.0:
         return found
     size = 2 * STANDING + 1
@@ -145,7 +145,7 @@ def standstills(ref: FloatArray, noise_dps: float) -> FloatArray:
         kept = np.flatnonzero(~near)
         low = max([int(k) + 1 for k in kept if part.start + k < first], default=0)
         high = min([int(k) for k in kept if part.start + k >= end], default=len(near))
-        found[part.start + low : part.start + high] = 0.0
+        found[part.start + low : part.start + high] = True
     return found
 
 

@@ -20,9 +20,10 @@ from training.effects.catalogue import effect
 
 def conclude(analysis: Analysis) -> Diagnosis:
     """The document of a finished analysis."""
-    findings = findings_of(analysis)
+    early = early_findings(analysis)
+    findings = findings_of(analysis, early)
     verdict, sentence = _verdict(analysis, findings)
-    located = _located(analysis)
+    located = _located(analysis, early)
     top = max((r.gain for r in located), default=1.0)
     fit = (
         summary(analysis.proofs, bool(analysis.heldout), analysis.settings.seed)
@@ -49,10 +50,10 @@ def conclude(analysis: Analysis) -> Diagnosis:
     )
 
 
-def _located(analysis: Analysis) -> list[Located]:
+def _located(analysis: Analysis, early: list[Finding]) -> list[Located]:
     """Drivers of the residual as it came: those of frames, timing and single samples beside the slow ones."""
-    early = [Located(f.driver, f.strength, f.strength, f.p_value) for f in early_findings(analysis)]
-    return [row for row in ranked([*early, *analysis.located]) if row.gain > 0.0]
+    told = [Located(f.driver, f.strength, f.strength, f.p_value) for f in early]
+    return [row for row in ranked([*told, *analysis.located]) if row.gain > 0.0]
 
 
 def _no_fit() -> FitResult:
