@@ -39,7 +39,10 @@ def term_error(c, s, ch, j, rate, w, t_s):
     """
     kind, p0, column = c.term_kind[j], c.term[j, 0], s.terms[j, 0]
     if kind == LAG:
-        return (w * c.term[j, 1] + c.term[j, 2]) * column
+        slope = c.term[j, 1]
+        if c.term[j, 4] != 0.0 or c.term[j, 5] != 0.0:
+            slope += bent_slope(c.term[j], term_temperature(c, s, ch, j) - REF_DEGC, column)
+        return (w * slope + c.term[j, 2]) * column
     if kind == SHUPE:
         return column
     if kind == BIAS_PLAY:
@@ -59,6 +62,13 @@ def term_error(c, s, ch, j, rate, w, t_s):
     if kind == UNIT:
         return rate * (1.0 - 1.0 / p0)
     return timed_error(kind, c.term[j], w, t_s) if t_s >= 0.0 else 0.0
+
+
+@rare_kernel
+def bent_slope(p, h, behind):
+    """(S(T_c) − S(T))/(T_c − T) of the square and the cube in S, T_c = T + behind."""
+    coil = h + behind
+    return p[4] * (coil + h) + p[5] * (coil * coil + coil * h + h * h)
 
 
 @rare_kernel

@@ -39,9 +39,16 @@ BIAS_WARMUP, SCALE_WARMUP, RIPPLE, SAWTOOTH, DRIFT, AGEING, SCALE, BIAS, UNIT, E
 TERMS: dict[str, TermKind] = {
     "thermal_lag": TermKind(
         LAG,
-        "e = (w·scale + bias)·(LP_τ(T) − T), a second pole with tau2_s",
+        "e = w·(S(T_c) − S(T)) + bias·(T_c − T), T_c = LP_τ(T), a second pole with tau2_s, "
+        "S(T) = scale·h + scale2·h² + scale3·h³",
         ("tau_s",),
-        {"scale_ppm_per_K": 0.0, "bias_dps_per_K": 0.0, "tau2_s": 0.0},
+        {
+            "scale_ppm_per_K": 0.0,
+            "bias_dps_per_K": 0.0,
+            "tau2_s": 0.0,
+            "scale2_ppm_per_K2": 0.0,
+            "scale3_ppm_per_K3": 0.0,
+        },
         ("tau_s",),
     ),
     "shupe": TermKind(

@@ -76,13 +76,19 @@ def apart(library: Library, domains: Sequence[Domain], null: Null, model: Model)
     return model
 
 
-def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
-    """The model without parts too weak beside a stronger one; and the names of those left out."""
+def demoted(model: Model, domains: Sequence[Domain], trained: bool = False) -> tuple[Model, list[str]]:
+    """The model without parts too weak beside a stronger one; and the names of those left out.
+
+    A `trained` simulation is itself only good to a share of its surface, so a weak part that acts as the strong one
+    does is what the training left, however clearly it shows.
+    """
     dropped: list[str] = []
     while len(model.parts) > 1:
         strengths = partial_chi2(model)
         strongest = max(range(len(strengths)), key=strengths.__getitem__)
-        weak = [i for i in range(len(strengths)) if i != strongest and _too_weak(model, strengths, i)]
+        weak = [
+            i for i in range(len(strengths)) if i != strongest and _too_weak(model, strengths, i, trained)
+        ]
         if not weak:
             break
         worst = min(weak, key=strengths.__getitem__)
@@ -91,12 +97,13 @@ def demoted(model: Model, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
     return model, dropped
 
 
-def _too_weak(model: Model, strengths: list[float], i: int) -> bool:
+def _too_weak(model: Model, strengths: list[float], i: int, trained: bool) -> bool:
     mine = family(model.parts[i].effect)
     for j, other in enumerate(model.parts):
         theirs = family(other.effect)
         alike = sum(a == b for a, b in zip(mine, theirs, strict=True)) if theirs[0] == mine[0] else 0
-        if j != i and strengths[i] < min(LEAST_SHARE[alike] * strengths[j], MOST_CHI2[alike]):
+        most = float("inf") if trained and alike else MOST_CHI2[alike]
+        if j != i and strengths[i] < min(LEAST_SHARE[alike] * strengths[j], most):
             return True
     return False
 
@@ -156,9 +163,9 @@ def _twins(part: Part, library: Library) -> set[str]:
     """Effects that no recording of this kind tells from the part, whatever the fit says.
 
     A coil that lags and a scale factor that follows its gradient relax alike; only a sensor at the coil parts them
-    (PHYSICS.md B4).
+    (PHYSICS.md B4), or a simulation whose surface is bent over temperature: only the lag moves along the bend.
     """
-    if part.effect not in LAGGING or "coil_tau_s" in part.points[0]:
+    if part.effect not in LAGGING or {"coil_tau_s", "on_surface"} & set(part.points[0]):
         return set()
     return {group.effect for group in library.groups if group.effect in LAGGING} - {part.effect}
 

@@ -83,28 +83,31 @@ def shupe_grid(survey: Survey) -> list[Parameters]:
     return [{**tau, "order": order} for order in (1.0, 2.0) for tau in taus]
 
 
-def lag_difference(work: Work, p: Parameters) -> FloatArray:
-    """LP_τ(T) − T [K], two poles with tau2_s; as measured where a sensor sits at the coil."""
+def coil_temperature(work: Work, p: Parameters) -> FloatArray:
+    """LP_τ(T) [degC], two poles with tau2_s; as measured where a sensor sits at the coil."""
     if "coil_tau_s" in p:
-        return work.extra["coil"] - work.temp
+        return work.extra["coil"]
     lagged = low_pass(work.temp, work.step_s, p["tau_s"])
-    if p.get("tau2_s", 0.0) > 0.0:
-        lagged = low_pass(lagged, work.step_s, p["tau2_s"])
-    return lagged - work.temp
+    return low_pass(lagged, work.step_s, p["tau2_s"]) if p.get("tau2_s", 0.0) > 0.0 else lagged
 
 
 def thermal_lag(work: Work, p: Parameters) -> list[FloatArray]:
-    """Rate times the lag difference, and the difference itself on request."""
-    difference = lag_difference(work, p)
-    columns = [PPM * work.w * difference]
-    return [*columns, difference] if p.get("with_bias", 0.0) else columns
+    """What the simulation says at the coil's temperature, or rate times the difference and, on request, that itself."""
+    coil = coil_temperature(work, p)
+    if p.get("on_surface", 0.0) and work.elsewhere is not None:
+        return [work.elsewhere(coil)]
+    columns = [PPM * work.w * (coil - work.temp)]
+    return [*columns, coil - work.temp] if p.get("with_bias", 0.0) else columns
 
 
 def lag_grid(survey: Survey) -> list[Parameters]:
-    """Time constants, with and without a part in the bias."""
+    """Time constants, with or without a part in the bias; where the simulation is a surface that says which part."""
     if survey.coil_tau_s > 0.0:
-        return [{"coil_tau_s": survey.coil_tau_s, "with_bias": b} for b in (0.0, 1.0)]
-    return [{**tau, "with_bias": b} for b in (0.0, 1.0) for tau in tau_grid(50.0, 900.0, 11)(survey)]
+        lags: list[Parameters] = [{"coil_tau_s": survey.coil_tau_s}]
+    else:
+        lags = tau_grid(50.0, 900.0, 11)(survey)
+    known = "on_surface" if "surface" in survey.has else "with_bias"
+    return [lag | {known: share} for share in (0.0, 1.0) for lag in lags]
 
 
 def play_grid(survey: Survey) -> list[Parameters]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcomp.compensator import predict
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
 from training.diagnose.columns import HUNDRED_DPS
@@ -23,6 +24,7 @@ from training.diagnose.pipeline import Analysis
 from training.diagnose.prepare import smoothing_s
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
+from training.effects.catalogue import catalogue
 
 HIGH_CORNERS = 257
 CORNERS = 65  # knots of an empirical term that is not piecewise linear in its driver
@@ -63,6 +65,8 @@ def terms_of(analysis: Analysis, diagnosis: Diagnosis) -> tuple[list[Term], list
             if model is not None and part.effect in TERMS
             else []
         )
+        if part.effect == "thermal_lag" and found:
+            found = [_on_surface(t, p, analysis) for t, p in zip(found, part.points, strict=True)]
         if part.effect == "shupe":
             found = [Term(t.effect, dict(_smoothed(_numbers(t), _smoothing(analysis)))) for t in found]
         terms += found
@@ -110,6 +114,16 @@ def _part_terms(part: Part, beta: np.ndarray, ranges: dict[str, tuple[float, flo
         terms.append(Term(part.effect, dict(own)))
         terms += [Term(STATIC[key], {key: value}) for key, value in static.items()]
     return terms
+
+
+def _on_surface(lag: Term, point: Parameters, analysis: Analysis) -> Term:
+    """A lag that was fitted on the simulation's surface, with the coefficients that this surface has there."""
+    if analysis.surface is None or not point.get("on_surface"):
+        return lag
+    given = _numbers(lag)
+    share = given["scale_ppm_per_K"] / analysis.surface.slope_ppm_per_K
+    rates = np.concatenate([d.work.full["w"] for d in analysis.domains])
+    return Term(lag.effect, {**given, **analysis.surface.term(share, rates)})
 
 
 def _higher_orders(
@@ -195,6 +209,8 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     """Write the model file; without anything found it is an empty, valid model."""
     terms, left = terms_of(analysis, diagnosis)
     base = analysis.simulation.model
+    if base is not None:
+        terms = [_sized(term, _behind_model(analysis)) for term in terms]
     terms = in_measured_rate(terms, analysis.intakes, base)
     works = [d.work for d in analysis.domains]
     fields: dict[str, Any] = {"terms": [_plain(t) for t in terms]}
@@ -221,6 +237,47 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
         "adds_to_simulation": analysis.simulation.kind,
     }
     save_model(new_model(**fields), path)
+
+
+def _behind_model(analysis: Analysis) -> float:
+    """What of a found error is left for the live terms once the model has corrected the rate that carries it too.
+
+    The simulated rate is what the model says of the true rate; live it sees the measured one, and with it takes e' of
+    every error away that it does not know.
+    """
+    left, whole = [], []
+    for intake in analysis.intakes:
+        c, rows = intake.checked.columns, intake.checked.valid
+        temp = c.get("temp_degC", np.full(len(rows), ROOM_DEGC))
+        known = analysis.settings.power_on_known
+        error = predict(
+            analysis.simulation.model,
+            np.nan_to_num(c["rate_dps"]),
+            temp,
+            c.get("t_s"),
+            c.get("coil_temp_degC"),
+            known,
+        ).error_dps
+        left.append((c["rate_dps"] - error - c["ref_rate_dps"])[rows])
+        whole.append(intake.residual[rows])
+    x, y = np.concatenate(whole), np.concatenate(left)
+    return float(x @ y / (x @ x)) if np.any(x) else 1.0
+
+
+def _sized(term: Term, factor: float) -> Term:
+    """A term with its error times `factor`."""
+    linear = (
+        {name for name, p in catalogue()[term.effect].parameters.items() if p.linear}
+        if term.effect in catalogue()
+        else {"values"}
+    )
+    return Term(
+        term.effect,
+        {
+            k: v if k not in linear else [factor * x for x in v] if isinstance(v, list) else factor * v
+            for k, v in term.parameters.items()
+        },
+    )
 
 
 def _numbers(term: Term) -> dict[str, float]:

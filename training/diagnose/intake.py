@@ -20,6 +20,7 @@ from training.diagnose.prepare import prepare
 from training.diagnose.reference import Reference, cleared, reference, unbiased
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
+from training.diagnose.surface import Surface, stand_on
 from training.diagnose.work import FloatArray, Work
 from training.table import Recording
 
@@ -37,6 +38,21 @@ class Intake:
     fast: list[FastFinding]
     work: Work
     driving: FloatArray
+    surface: Surface | None = None
+
+    @property
+    def simulated_error(self) -> FloatArray:
+        """Temperature [degC], true rate and simulated error [dps] of the sound rows, `(3, n)`; none without time."""
+        columns = self.checked.columns
+        if not {"temp_degC", "t_s"} <= set(columns):
+            return np.empty((3, 0))
+        rows = np.stack([columns["temp_degC"], self.driving, self.simulated - columns["ref_rate_dps"]])
+        return rows[:, self.checked.valid & np.isfinite(rows).all(axis=0)]
+
+    def stand_on(self, surface: Surface | None) -> None:
+        """Let the regressors ask what the simulation would say of another temperature."""
+        self.surface = surface
+        stand_on(surface, self.work)
 
     @property
     def rate(self) -> FloatArray:
@@ -146,7 +162,7 @@ def full_work(intake: Intake, power_on_known: bool) -> Work:
     """The working view at the recording's own rows, to predict an effect on each of them."""
     columns = intake.checked.columns
     everything = np.ones(len(intake.rate), dtype=bool)
-    return prepare(
+    work = prepare(
         intake.recording.name,
         columns,
         intake.residual,
@@ -156,6 +172,8 @@ def full_work(intake: Intake, power_on_known: bool) -> Work:
         power_on_known=power_on_known,
         max_blocks=10_000_000,
     )
+    stand_on(intake.surface, work)
+    return work
 
 
 def checked_recording(recording: Recording, static: bool) -> Checked:

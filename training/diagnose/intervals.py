@@ -30,12 +30,15 @@ class Estimates:
 
     def interval(self, index: int) -> tuple[float, float]:
         """95 % interval of one parameter."""
-        half = (
-            WIDER
-            * float(stats.t.ppf(0.975, self.dof[index]))
-            * float(np.sqrt(max(self.covariance[index, index], 0.0)))
-        )
-        return float(self.values[index] - half), float(self.values[index] + half)
+        return self.along(np.eye(len(self.values))[index])
+
+    def along(self, weights: FloatArray) -> tuple[float, float]:
+        """95 % interval of a sum of parameters with weights `(n,)`, its freedom that of the least known of them."""
+        middle = float(weights @ self.values)
+        freedom = float(np.min(self.dof[weights != 0.0], initial=np.inf))
+        spread = float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
+        half = WIDER * float(stats.t.ppf(0.975, freedom)) * spread
+        return middle - half, middle + half
 
 
 def restricted_spectrum(

@@ -201,9 +201,14 @@ def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candida
 
 
 def _differs(new: Parameters, points: list[Parameters]) -> bool:
-    """Whether a further point of a group's grid is a different shape and not the one that is there already."""
+    """Whether a further point of a group's grid is a different shape and not the one that is there already.
+
+    One lag does not act both on the simulation's surface and beside it.
+    """
 
     def close(old: Parameters) -> bool:
+        if new.get("on_surface") != old.get("on_surface"):
+            return True
         if new.get("chunk") != old.get("chunk"):
             return False
         return all(abs(new[k] - old[k]) <= 0.2 * abs(old[k]) + 1e-9 for k in new if k in old)

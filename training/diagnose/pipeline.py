@@ -22,6 +22,7 @@ from training.diagnose.prove import Proof, folded, placebo, predicted, prove
 from training.diagnose.search import Null, surrogate_null
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
+from training.diagnose.surface import Surface, fit_surface
 from training.diagnose.unknown import (
     Located,
     Unknown,
@@ -57,6 +58,7 @@ class Analysis:
     demoted: list[str] = field(default_factory=list)
     located: list[Located] = field(default_factory=list)
     unknown: Unknown | None = None
+    surface: Surface | None = None
     proofs: list[Proof] = field(default_factory=list)
     placebo: float | None = None
     unusable: list[tuple[Recording, Checked]] = field(default_factory=list)
@@ -89,6 +91,9 @@ def analyse(
     progress("align")
     intakes = [take_in(r, c, simulation, settings) for r, c in usable]
     analysis = Analysis(settings, simulation, intakes, [], unusable=unusable)
+    analysis.surface = fit_surface([intake.simulated_error for intake in intakes])
+    for intake in intakes:
+        intake.stand_on(analysis.surface)
     if not intakes or max(len(i.work) for i in intakes) < MIN_BLOCKS:
         return analysis
     _search(analysis, progress)
@@ -128,7 +133,7 @@ def _search(analysis: Analysis, progress: Progress) -> None:
     by_function, generic_null = locate(generic, domains, base, lead or base, settings.seed + 1)
     analysis.located = ranked([*by_function, *located_by_shape(library, base, null)])
     progress("name")
-    names = partial(_names, library, null)
+    names = partial(_names, library, null, analysis.simulation.kind == "model")
     model, analysis.demoted = names(domains)
     analysis.model, analysis.unknown = unexplained(
         generic, domains, model, generic_null, analysis.demoted, lambda beside: names(beside)[0]
@@ -151,9 +156,10 @@ def _confirm(intake: Intake, analysis: Analysis) -> None:
     intake.fast = [f for f in intake.fast if f.effect in again]
 
 
-def _names(library: Library, null: Null, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
+def _names(library: Library, null: Null, trained: bool, domains: Sequence[Domain]) -> tuple[Model, list[str]]:
     """(the named model with its classes, names demoted on the way)."""
-    model, dropped = demoted(apart(library, domains, null, forward(library, domains, null)), domains)
+    chosen = apart(library, domains, null, forward(library, domains, null))
+    model, dropped = demoted(chosen, domains, trained)
     return preferred(library, domains, null, model), dropped
 
 
@@ -168,7 +174,9 @@ def _prove(analysis: Analysis, heldout: Sequence[Recording]) -> None:
             if checked.unusable:
                 analysis.unusable_heldout.append((recording, checked))
                 continue
-            analysis.heldout.append(take_in(recording, checked, analysis.simulation, settings, shared))
+            intake = take_in(recording, checked, analysis.simulation, settings, shared)
+            intake.stand_on(analysis.surface)
+            analysis.heldout.append(intake)
     if analysis.heldout:
         for intake in analysis.heldout:
             wave = predicted(model, intake, settings.power_on_known)

@@ -190,6 +190,7 @@ def survey(works: list[Work]) -> Survey:
     has = {"rate"} if rates.max() > 0.5 else set()
     has |= {"temperature"} if np.ptp(temps) > 2.0 else set()
     has |= set() if works[0].points else {"clock"}
+    has |= {"surface"} if all(w.elsewhere is not None for w in works) else set()
     has |= {"power_on"} if all(w.power_on_known and not w.points for w in works) else set()
     names = {"cos1": "heading", "accel": "acceleration", "vib2": "vibration", "speed": "speed"}
     has |= {label for key, label in names.items() if all(key in w.extra for w in works)}

@@ -11,7 +11,7 @@ from training.diagnose.intervals import Estimates
 from training.diagnose.naming import Model, Part
 from training.diagnose.work import FloatArray, Work
 
-SHAPE_KEYS = {"order", "high", "with_bias", "with_static", "shape", "recording"}
+SHAPE_KEYS = {"order", "high", "with_bias", "on_surface", "with_static", "shape", "recording"}
 UNITS = {
     "tau_s": "s",
     "play_K": "K",
@@ -44,6 +44,8 @@ def parameters_of(part_index: int, model: Model, estimate: Estimates) -> dict[st
                 float(estimate.values[index]), units.get(name, UNITS.get(name, "1")), estimate.interval(index)
             )
     part = model.parts[part_index]
+    if part.effect == "thermal_lag" and len(part.points) > 1:
+        found = _as_one_lag(part_index, estimate, units)
     for point in part.points:
         if "at_share" in point:
             work = model.frame.domains[int(point["recording"])].work
@@ -54,6 +56,31 @@ def parameters_of(part_index: int, model: Model, estimate: Estimates) -> dict[st
         ]
         for key in fixed:
             found[key] = Parameter(float(point[key]), UNITS[key], (float(point[key]), float(point[key])))
+    return found
+
+
+def _as_one_lag(part_index: int, estimate: Estimates, units: dict[str, str]) -> dict[str, Parameter]:
+    """A coil's poles as what is well known of them: on a slow ramp they are one, c = Σ c_i and τ = Σ c_i τ_i / c."""
+    places: dict[str, dict[int, int]] = {}
+    for index, (i, j, name) in enumerate(estimate.names):
+        if i == part_index:
+            places.setdefault(name, {})[j] = index
+    found: dict[str, Parameter] = {}
+    for name in (n for n in places if n != "tau_s"):
+        weights = np.zeros(len(estimate.values))
+        weights[list(places[name].values())] = 1.0
+        found[name] = Parameter(float(weights @ estimate.values), units[name], estimate.along(weights))
+    scale, taus = places["scale_ppm_per_K"], places.get("tau_s", {})
+    total = sum(estimate.values[index] for index in scale.values())
+    if taus and total != 0.0:
+        tau = sum(estimate.values[scale[j]] * estimate.values[taus[j]] for j in taus) / total
+        slope = np.zeros(len(estimate.values))
+        for j in taus:
+            slope[scale[j]] = (estimate.values[taus[j]] - tau) / total
+            slope[taus[j]] = estimate.values[scale[j]] / total
+        low, high = estimate.along(slope)
+        shift = tau - float(slope @ estimate.values)
+        found["tau_s"] = Parameter(float(tau), "s", (low + shift, high + shift))
     return found
 
 

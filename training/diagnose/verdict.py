@@ -15,7 +15,9 @@ from training.diagnose.pipeline import Analysis
 from training.diagnose.prove import summary
 from training.diagnose.unknown import Located, ranked
 from training.diagnose.visible import not_excited, visible_from
-from training.effects.catalogue import effect
+from training.effects.catalogue import catalogue, effect
+
+NAMES = frozenset({"Shupe", "Faraday", "Earth"})  # keep their initials in a sentence
 
 
 def conclude(analysis: Analysis) -> Diagnosis:
@@ -102,16 +104,24 @@ def _verdict(analysis: Analysis, findings: list[Finding]) -> tuple[str, str]:
         )
     title = effect(first.effect).title
     if first.status == "ambiguous":
-        rest = ", ".join(effect(a).title.lower() for a in first.alternatives[1:])
+        rest = ", ".join(_title(a) for a in first.alternatives[1:])
         return (
             "ambiguous",
             f"{title} ({size}), but these recordings cannot tell it from {rest}; to separate: {first.separate_by}.",
         )
-    others = f", beside {', '.join(f.effect for f in findings[1:])}" if len(findings) > 1 else ""
+    others = f", beside {', '.join(_title(f.effect) for f in findings[1:])}" if len(findings) > 1 else ""
     return (
         "named",
         f"{title} is missing from the simulation ({size}, p {probability(first.p_value)}){others}.",
     )
+
+
+def _title(name: str) -> str:
+    """An effect as a person calls it, in the middle of a sentence; initials of names stay."""
+    if name not in catalogue():
+        return name.replace("_", " ")
+    title = effect(name).title
+    return title if title.split()[0] in NAMES else title[0].lower() + title[1:]
 
 
 def _silent(analysis: Analysis) -> tuple[str, str]:

@@ -34,7 +34,8 @@ class Work:
 
     `t` [s] since power-on (row number for points), `y` [dps] measured − simulated, `w` [dps] true rate, `temp` and
     `slow_temp` [degC] smoothed enough for the temperature's value and for its slope, `spread` noise scale per block (1
-    where the noise is the same everywhere).
+    where the noise is the same everywhere).  `elsewhere`, where the simulation is a surface over temperature and rate,
+    gives its error at other temperatures `(n,)` less that at `temp`, per ppm/K of its slope.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Work:
     clusters: NDArray[np.int64] | None = None
     index: int = 0
     rate_noise_dps: float = 0.0
+    elsewhere: Callable[[FloatArray], FloatArray] | None = None
 
     def __len__(self) -> int:
         return len(self.y)

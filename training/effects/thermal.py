@@ -68,12 +68,14 @@ class ThermalLag(ErrorEffect):
     id = "thermal_lag"
     title = "Thermal lag between temperature sensor and coil"
     section = "A3"
-    equation = "e = (ω·10⁻⁶·s + b)·(LP_τ(T) − T)"
+    equation = "e = ω·10⁻⁶·(S(LP_τ(T)) − S(T)) + b·(LP_τ(T) − T), S = s·h + s2·h² + s3·h³, h = T − 25 °C"
     parameters = parameters(
         tau_s=shape("s", 280.0, 600.0),
         scale_ppm_per_K=amplitude("ppm/K", -1263.0, -1263.0, default=0.0),
         bias_dps_per_K=amplitude("dps/K", 0.1 * DEG_PER_H, 0.3 * DEG_PER_H, default=0.0),
         tau2_s=shape("s", 0.0, 120.0, default=0.0),
+        scale2_ppm_per_K2=amplitude("ppm/K²", 0.0, 0.0, default=0.0),
+        scale3_ppm_per_K3=amplitude("ppm/K³", 0.0, 0.0, default=0.0),
     )
     drivers = ("rate_times_temperature_rate", "temperature_rate")
     excitation = "constant 60…100 °/s while the temperature ramps, two speeds, both directions, 30 min holds"
@@ -81,7 +83,10 @@ class ThermalLag(ErrorEffect):
 
     def _error(self, truth: Truth, p: SimpleNamespace) -> np.ndarray:
         behind = truth.lagged_temp(p.tau_s, p.tau2_s) - truth.temp_degC
-        return (truth.rate_dps * PPM * p.scale_ppm_per_K + p.bias_dps_per_K) * behind
+        h = truth.h_K
+        coil = h + behind
+        bend = p.scale2_ppm_per_K2 * (coil + h) + p.scale3_ppm_per_K3 * (coil * coil + coil * h + h * h)
+        return (truth.rate_dps * PPM * (p.scale_ppm_per_K + bend) + p.bias_dps_per_K) * behind
 
 
 class BiasHysteresis(ErrorEffect):
