@@ -266,16 +266,13 @@ def _behind_model(analysis: Analysis) -> float:
 
 def _sized(term: Term, factor: float) -> Term:
     """A term with its error times `factor`."""
-    linear = (
-        {name for name, p in catalogue()[term.effect].parameters.items() if p.linear}
-        if term.effect in catalogue()
-        else {"values"}
-    )
+    known = catalogue().get(term.effect)
+    linear = {"values"} if known is None else {name for name, p in known.parameters.items() if p.linear}
     return Term(
         term.effect,
         {
-            k: v if k not in linear else [factor * x for x in v] if isinstance(v, list) else factor * v
-            for k, v in term.parameters.items()
+            name: (np.asarray(value, dtype=float) * factor).tolist() if name in linear else value
+            for name, value in term.parameters.items()
         },
     )
 

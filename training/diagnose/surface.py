@@ -39,7 +39,7 @@ class Surface:
         """The factor of every power of the rate at temperatures `(n,)`, shape `(RATE_ORDER + 1, n)`."""
         low, high = self.temp_degC
         place = np.clip((2.0 * temp_degC - low - high) / (high - low), -1.0, 1.0)
-        return chebyshev.chebval(place, self.coefficients)
+        return np.asarray(chebyshev.chebval(place, self.coefficients), dtype=np.float64)
 
     def powers(self, rate_dps: FloatArray) -> FloatArray:
         """(ω/`rate_dps`)⁰ … of rates `(n,)`, shape `(RATE_ORDER + 1, n)`."""
