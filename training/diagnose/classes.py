@@ -147,7 +147,8 @@ def with_classes(
         table = _table(domains, without, part, library)
         if table is not None and reference - score(table) < allowed:
             close[TABLE], models[TABLE] = reference - score(table), table
-        close |= dict.fromkeys(_twins(part, library) - taken - set(close), CLASS_COST)
+        if not _bent(part, rest, domains, reference - allowed, model):
+            close |= dict.fromkeys(_twins(part, library) - taken - set(close), CLASS_COST)
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
         rivals += [(i, rival) for rival in models.values()]
     return Model(parts, model.frame, model.fit), rivals
@@ -159,13 +160,23 @@ def _instead(part: Part, rival: Model, worth: float, domains: Sequence[Domain]) 
     return score(beside) - score(rival) < 0.5 * worth
 
 
+def _bent(part: Part, rest: Sequence[Part], domains: Sequence[Domain], least: float, model: Model) -> bool:
+    """Whether a lag shows the bend of the surface, as only a lag can: a straight one then scores below `least`."""
+    if not any(point.get("on_surface") for point in part.points):
+        return False
+    straight = replace(part, points=[{**point, "on_surface": 0.0} for point in part.points])
+    weights = model.fit.weights
+    parts = refine([*rest, straight], len(rest), domains, weights)
+    return score(build(parts, domains, weights)) < least
+
+
 def _twins(part: Part, library: Library) -> set[str]:
     """Effects that no recording of this kind tells from the part, whatever the fit says.
 
     A coil that lags and a scale factor that follows its gradient relax alike; only a sensor at the coil parts them
-    (PHYSICS.md B4), or a simulation whose surface is bent over temperature: only the lag moves along the bend.
+    (PHYSICS.md B4).
     """
-    if part.effect not in LAGGING or {"coil_tau_s", "on_surface"} & set(part.points[0]):
+    if part.effect not in LAGGING or "coil_tau_s" in part.points[0]:
         return set()
     return {group.effect for group in library.groups if group.effect in LAGGING} - {part.effect}
 
