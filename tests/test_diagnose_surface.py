@@ -3,6 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
+from diagnose_cases import lag_effect, recording
 
 from rtcomp.compensator import predict
 from rtcomp.model import new_model
@@ -109,3 +110,13 @@ def test_the_simulated_rate_of_a_model_is_that_of_the_true_rate():
     assert np.allclose(
         got - predict(model, got, columns["temp_degC"], columns["t_s"]).error_dps, true, atol=1e-3
     )
+
+
+def test_on_a_straight_surface_a_lag_keeps_its_twin():
+    case = recording(12, lag_effect)
+    temp, rate = case.columns["temp_degC"], case.columns["ref_rate_dps"]
+    straight = 40e-6 * rate * (temp - 25.0)
+    case.columns["sim_rate_dps"] = rate + straight
+    case.columns["rate_dps"] = case.columns["rate_dps"] + straight
+    found = conclude(analyse([case], [], Simulation("column"), Settings(surrogates=16)))
+    assert found.findings[0].alternatives == ["thermal_lag", "scale_temperature_rate"]
