@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,8 @@ def main(targets: tuple[str, ...], seconds: int, out: Path | None, as_json: bool
     unknown = sorted(set(targets) - set(TARGETS))
     if unknown:
         raise click.UsageError(f"no target {unknown[0]!r}; there are {', '.join(TARGETS)}")
+    if find_spec("atheris") is None:
+        raise click.UsageError("atheris is not installed; pip install -e '.[fuzz]' brings it")
     folder = out or Path(tempfile.mkdtemp(prefix="rtcomp-fuzz-"))
     results = []
     for name in targets or TARGETS:
@@ -87,7 +90,9 @@ def main(targets: tuple[str, ...], seconds: int, out: Path | None, as_json: bool
         (folder / "results.json").write_text(json.dumps(results))  # what there is, should it be stopped
     table = Table("target", "executions", "coverage", "findings", title=f"{seconds} s each, in {folder}")
     for result in results:
-        reasons = "; ".join(item["reason"] for item in result["findings"]) or "none"
+        reasons = "; ".join(item["reason"] for item in result["findings"]) or (
+            "none" if not result["ended"] else f"did not run: ended {result['ended']}"
+        )
         table.add_row(result["target"], f"{result['executions']:,}", str(result["coverage"]), reasons)
     Console(stderr=as_json).print(table)
     if as_json:
