@@ -6,8 +6,11 @@ import pytest
 from diagnose_cases import lag_effect, recording
 
 from rtcomp.compensator import predict
-from rtcomp.model import new_model
+from rtcomp.model import Term, new_model
+from training.diagnose.intervals import Estimates
+from training.diagnose.measured import left_by_model, sized
 from training.diagnose.pipeline import analyse
+from training.diagnose.refit import as_one_lag
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
 from training.diagnose.surface import RATE_ORDER, fit_surface
@@ -120,3 +123,34 @@ def test_on_a_straight_surface_a_lag_keeps_its_twin():
     case.columns["rate_dps"] = case.columns["rate_dps"] + straight
     found = conclude(analyse([case], [], Simulation("column"), Settings(surrogates=16)))
     assert found.findings[0].alternatives == ["thermal_lag", "scale_temperature_rate"]
+
+
+def test_a_terms_amplitudes_are_sized_and_its_shape_is_not():
+    lag = sized(
+        Term("thermal_lag", {"tau_s": 280.0, "scale_ppm_per_K": -1000.0, "scale2_ppm_per_K2": 4.0}), 0.5
+    )
+    assert lag.parameters == {"tau_s": 280.0, "scale_ppm_per_K": -500.0, "scale2_ppm_per_K2": 2.0}
+    free = {"driver": "rate", "knots": [0.0, 1.0], "values": [2.0, 4.0]}
+    assert sized(Term("unknown", free), 0.5).parameters == free | {"values": [1.0, 2.0]}
+
+
+def test_a_model_takes_its_slope_of_every_error_it_does_not_know():
+    case = recording(12, lambda t, rate, temp: 0.05 * np.sign(rate))
+    model = new_model(terms=[{"effect": "scale_error", "parameters": {"ppm": 100_000.0}}])
+    case.columns["rate_dps"] = case.columns["rate_dps"] + case.columns["ref_rate_dps"] / 9.0
+    intake = analyse([case], [], Simulation("model", model=model), Settings(surrogates=16)).intakes[0]
+    assert left_by_model(model, [intake], True) == pytest.approx(0.9, abs=0.01)
+
+
+def test_two_poles_are_told_as_the_lag_they_are_on_a_slow_ramp():
+    names = [(0, 0, "scale_ppm_per_K"), (0, 1, "scale_ppm_per_K"), (0, 0, "tau_s"), (0, 1, "tau_s")]
+    values = np.array([-900.0, -100.0, 300.0, 100.0])
+    covariance = np.diag([400.0, 400.0, 25.0, 25.0])
+    covariance[0, 1] = covariance[1, 0] = -390.0  # known together, hardly apart
+    told = as_one_lag(
+        0, Estimates(names, values, covariance, np.full(4, 1000.0)), {"scale_ppm_per_K": "ppm/K"}
+    )
+    assert told["scale_ppm_per_K"].value == -1000.0
+    assert told["tau_s"].value == pytest.approx(280.0)
+    low, high = told["scale_ppm_per_K"].ci95
+    assert high - low < 25.0  # of one pole alone: 90

@@ -11,20 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from rtcomp.compensator import predict
 from rtcomp.model import Term, new_model, save_model
 from rtcomp.terms import TERMS
-from training.diagnose.columns import HUNDRED_DPS
 from training.diagnose.document import Diagnosis
 from training.diagnose.generic import VALUES, basis_of, grain_of
 from training.diagnose.library import ROOM_DEGC, Parameters
-from training.diagnose.measured import in_measured_rate
+from training.diagnose.measured import in_measured_rate, left_by_model, sized
 from training.diagnose.naming import Part
 from training.diagnose.pipeline import Analysis
 from training.diagnose.prepare import smoothing_s
+from training.diagnose.rate_columns import HUNDRED_DPS
 from training.diagnose.unknown import empirical
 from training.diagnose.work import Work
-from training.effects.catalogue import catalogue
 
 HIGH_CORNERS = 257
 CORNERS = 65  # knots of an empirical term that is not piecewise linear in its driver
@@ -210,7 +208,8 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
     terms, left = terms_of(analysis, diagnosis)
     base = analysis.simulation.model
     if base is not None:
-        terms = [_sized(term, _behind_model(analysis)) for term in terms]
+        share = left_by_model(base, analysis.intakes, analysis.settings.power_on_known)
+        terms = [sized(term, share) for term in terms]
     terms = in_measured_rate(terms, analysis.intakes, base)
     works = [d.work for d in analysis.domains]
     fields: dict[str, Any] = {"terms": [_plain(t) for t in terms]}
@@ -237,44 +236,6 @@ def save_extended(analysis: Analysis, diagnosis: Diagnosis, path: Path) -> None:
         "adds_to_simulation": analysis.simulation.kind,
     }
     save_model(new_model(**fields), path)
-
-
-def _behind_model(analysis: Analysis) -> float:
-    """What of a found error is left for the live terms once the model has corrected the rate that carries it too.
-
-    The simulated rate is what the model says of the true rate; live it sees the measured one, and with it takes e' of
-    every error away that it does not know.
-    """
-    left, whole = [], []
-    for intake in analysis.intakes:
-        c, rows = intake.checked.columns, intake.checked.valid
-        temp = c.get("temp_degC", np.full(len(rows), ROOM_DEGC))
-        known = analysis.settings.power_on_known
-        error = predict(
-            analysis.simulation.model,
-            np.nan_to_num(c["rate_dps"]),
-            temp,
-            c.get("t_s"),
-            c.get("coil_temp_degC"),
-            known,
-        ).error_dps
-        left.append((c["rate_dps"] - error - c["ref_rate_dps"])[rows])
-        whole.append(intake.residual[rows])
-    x, y = np.concatenate(whole), np.concatenate(left)
-    return float(x @ y / (x @ x)) if np.any(x) else 1.0
-
-
-def _sized(term: Term, factor: float) -> Term:
-    """A term with its error times `factor`."""
-    known = catalogue().get(term.effect)
-    linear = {"values"} if known is None else {name for name, p in known.parameters.items() if p.linear}
-    return Term(
-        term.effect,
-        {
-            name: (np.asarray(value, dtype=float) * factor).tolist() if name in linear else value
-            for name, value in term.parameters.items()
-        },
-    )
 
 
 def _numbers(term: Term) -> dict[str, float]:

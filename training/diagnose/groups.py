@@ -3,6 +3,7 @@
 import numpy as np
 
 from training.diagnose import columns as c
+from training.diagnose import rate_columns as r
 from training.diagnose.library import PPM, Group
 
 TEMP, RATE = frozenset({"temperature"}), frozenset({"rate"})
@@ -65,7 +66,7 @@ GROUPS: tuple[Group, ...] = (
         BOTH | TIME,
         ("tau_s",),
     ),
-    Group("scale_nonlinearity", c.nonlinearity_grid, c.nonlinearity, c.nonlinearity_names, RATE),
+    Group("scale_nonlinearity", r.nonlinearity_grid, r.nonlinearity, r.nonlinearity_names, RATE),
     Group(
         "scale_asymmetry",
         c.no_grid,
@@ -73,11 +74,11 @@ GROUPS: tuple[Group, ...] = (
         c.fixed_names(("c_ppm", "ppm")),
         RATE,
     ),
-    Group("dead_band", c.dead_grid, c.dead_band, c.fixed_names(("depth", "1")), RATE, ("lock_dps",)),
+    Group("dead_band", r.dead_grid, r.dead_band, c.fixed_names(("depth", "1")), RATE, ("lock_dps",)),
     Group(
         "saturation",
-        c.knee_grid,
-        c.beyond_knee,
+        r.knee_grid,
+        r.beyond_knee,
         c.fixed_names(("loss", "1")),
         RATE,
         ("limit_dps", "soft_dps"),

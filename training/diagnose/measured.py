@@ -12,7 +12,9 @@ from rtcomp.compensator import predict
 from rtcomp.model import Model, Term, new_model
 from rtcomp.terms import TERMS
 from training.diagnose.intake import Intake
+from training.diagnose.library import ROOM_DEGC
 from training.diagnose.work import FloatArray
+from training.effects.catalogue import catalogue
 
 STATIC_OF_RATE = {
     "scale_error": ("ppm",),
@@ -43,6 +45,37 @@ def in_measured_rate(terms: Sequence[Term], intakes: Sequence[Intake], base: Mod
     for (effect, name), value in zip(dict.fromkeys(names), values, strict=True):
         fitted.setdefault(effect, {})[name] = float(value)
     return [*(Term(effect, dict(p)) for effect, p in fitted.items()), *others]
+
+
+def left_by_model(base: Model, intakes: Sequence[Intake], power_on_known: bool) -> float:
+    """What share of a found error is left for the live terms once the model has corrected the rate that carries it too.
+
+    The simulated rate is what the model says of the true rate; live it sees the measured one, and with it takes e' of
+    every error away that it does not know.
+    """
+    left, whole = [], []
+    for intake in intakes:
+        c, rows = intake.checked.columns, intake.checked.valid
+        temp = c.get("temp_degC", np.full(len(rows), ROOM_DEGC))
+        rate = np.nan_to_num(c["rate_dps"])
+        known = predict(base, rate, temp, c.get("t_s"), c.get("coil_temp_degC"), power_on_known)
+        left.append((rate - known.error_dps - c["ref_rate_dps"])[rows])
+        whole.append(intake.residual[rows])
+    x, y = np.concatenate(whole), np.concatenate(left)
+    return float(x @ y / (x @ x)) if np.any(x) else 1.0
+
+
+def sized(term: Term, share: float) -> Term:
+    """A term with its error times `share`."""
+    known = catalogue().get(term.effect)
+    linear = {"values"} if known is None else {name for name, p in known.parameters.items() if p.linear}
+    return Term(
+        term.effect,
+        {
+            name: (np.asarray(value, dtype=float) * share).tolist() if name in linear else value
+            for name, value in term.parameters.items()
+        },
+    )
 
 
 def _over(

@@ -45,7 +45,7 @@ def parameters_of(part_index: int, model: Model, estimate: Estimates) -> dict[st
             )
     part = model.parts[part_index]
     if part.effect == "thermal_lag" and len(part.points) > 1:
-        found = _as_one_lag(part_index, estimate, units)
+        found = as_one_lag(part_index, estimate, units)
     for point in part.points:
         if "at_share" in point:
             work = model.frame.domains[int(point["recording"])].work
@@ -59,7 +59,7 @@ def parameters_of(part_index: int, model: Model, estimate: Estimates) -> dict[st
     return found
 
 
-def _as_one_lag(part_index: int, estimate: Estimates, units: dict[str, str]) -> dict[str, Parameter]:
+def as_one_lag(part_index: int, estimate: Estimates, units: dict[str, str]) -> dict[str, Parameter]:
     """A coil's poles as what is well known of them: on a slow ramp they are one, c = Σ c_i and τ = Σ c_i τ_i / c."""
     places: dict[str, dict[int, int]] = {}
     for index, (i, j, name) in enumerate(estimate.names):
