@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from tools import audit
 from tools.soak import main
-from tools.soak_judge import RUNTIMES, Watched, growth, judge, slope_per_h
+from tools.soak_judge import RUNTIMES, WARM_UP, Reading, Watched, growth, judge, slope_per_h
 from tools.soak_load import CYCLE_S, PARTS, cycle
 
 KEPT = """
@@ -103,6 +103,21 @@ def test_a_slope_is_found_with_its_size_and_none_where_there_is_none():
         assert slope["value"] == pytest.approx(leak, abs=1.5)
         assert slope["ci95"][0] <= leak <= slope["ci95"][1]
     assert slope["ci95"][0] > 30.0
+
+
+def memory_is_flat(span_s, mb_per_h, step_mb=0.0):
+    """The verdict on 45 readings over a span, with a slope and one step of an allocator half way."""
+    t_s = np.linspace(0.0, span_s, 45)
+    rss_mb = 240.0 + mb_per_h * t_s / 3600.0 + step_mb * (t_s > span_s / 2)
+    rows = [Reading(t, mb, mb, 20, 10, 8, 100.0) for t, mb in zip(t_s, rss_mb, strict=True)]
+    return judge(rows[:1] * (len(rows) // (WARM_UP - 1)) + rows)[1]["memory is flat"]
+
+
+def test_a_step_of_the_allocator_is_no_leak_in_minutes_and_a_small_slope_is_one_in_an_hour():
+    assert memory_is_flat(225.0, 5.0, step_mb=1.7)
+    assert not memory_is_flat(225.0, 60.0)
+    assert memory_is_flat(2700.0, 1.0)
+    assert not memory_is_flat(2700.0, 6.0)
 
 
 def test_the_cycle_can_be_repeated_without_a_jump(fog_map):
