@@ -61,7 +61,7 @@ def score(truth: Document, found: Document | None, status: str) -> Document:
         "bad_recording",
     )
     said["remainder"] = bool(found and found.get("remainder"))
-    said["unlisted"] = [_stranger(e, findings, found) for e in _unlisted(truth)]
+    said["unlisted"] = [stranger(e, findings, found) for e in _unlisted(truth)]
     said["thermal_names"] = sum(f.get("driver") in THERMAL_DRIVERS for f in findings)
     said["visible_from"] = dict(found.get("visible_from") or {}) if found else {}
     said["silent"] = [_silent(e, findings) for e in effects if len(e["inseparable"]) > 1]
@@ -114,7 +114,8 @@ def _silent(effect: Document, findings: list[Document]) -> Document:
     return {"effect": effect["effect"], "silent": bool(alone), "in_class": whole, "advised": advised}
 
 
-def _stranger(effect: Document, findings: list[Document], found: Document | None) -> Document:
+def stranger(effect: Document, findings: list[Document], found: Document | None) -> Document:
+    """What was said of an effect that is not in the catalogue: flagged, partly explained, its driver."""
     flagged = [f for f in findings if f["status"] == "unknown"]
     partly = bool(flagged) or bool(found and found.get("remainder"))
     return {

@@ -10,6 +10,8 @@ from scipy.stats import binomtest
 Document = dict[str, Any]
 DPH = 3600.0
 STRONG, FAINT = 12.0, (5.5, 10.5)
+PROVED = 60.0  # of the oracle's gain on a held-out recording, below which a ratio to it says nothing
+ALIKE = 0.8  # share of an effect outside the catalogue from which an entry passes for it (PHYSICS.md 3.4)
 
 
 def rate(hits: Iterable[bool], wanted: str | None = None) -> Document:
@@ -147,8 +149,8 @@ def _inseparable(scores: list[Document]) -> Document:
 
 def _unlisted(strangers: list[Document]) -> Document:
     entries = [entry for s in strangers for entry in s["unlisted"]]
-    unlike = [e for e in entries if e["catalogue_r2"] < 0.8]
-    alike = [e for e in entries if e["catalogue_r2"] >= 0.8]
+    unlike = [e for e in entries if e["catalogue_r2"] < ALIKE]
+    alike = [e for e in entries if e["catalogue_r2"] >= ALIKE]
     return {
         "flagged": rate([e["flagged"] for e in unlike], ">= 0.90"),
         "driver_right": rate([e["driver_right"] for e in unlike if e["flagged"]], ">= 0.85"),
@@ -178,7 +180,7 @@ def _levels(scores: list[Document], level: str) -> Document:
 
 def _heldout(scores: list[Document]) -> Document:
     def rows(chosen: list[Document]) -> list[Document]:
-        return [r for s in chosen for r in s["heldout"] if r["fits"] and r["oracle_gain"] > 60.0]
+        return [r for s in chosen for r in s["heldout"] if r["fits"] and r["oracle_gain"] > PROVED]
 
     strong = [s for s in scores if s["effects"] and all(e["dprime"] >= STRONG for e in s["effects"])]
     one, two = ([s for s in strong if len(s["effects"]) == n and s["level"] != "L10"] for n in (1, 2))
