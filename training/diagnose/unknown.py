@@ -10,6 +10,7 @@ from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
 from training.diagnose.naming import (
     ALPHA,
+    MAX_EFFECTS,
     Model,
     Part,
     build,
@@ -30,6 +31,9 @@ MUST_ADD = (
 )
 SEVERAL_STAND = 1.0  # one smooth function in the place of several names: simpler, if it explains as much
 TURNING = frozenset({"magnetic", "table_eccentricity"})
+FALSE_ALPHA = (
+    1e-9  # a name that leaves a tenth of what it gains, so surely, is none, even if no function does as well
+)
 TIME_WEIGHT = (
     0.75  # any slow course is a function of time: a physical driver that explains nearly as much goes first
 )
@@ -43,6 +47,7 @@ STANDS_OUT = (
     0.1  # share of the strongest name's χ² from which something without a name is a finding beside it
 )
 BESIDE_ALPHA = 1e-6
+ITS_SHAPE = 0.05  # share of its χ² below which a name beside it is what a smooth function leaves of its shape
 RATE_DRIVERS = frozenset(
     {
         "rate",
@@ -121,7 +126,8 @@ def unexplained(
     """Check the remainder of the named model against every driver.
 
     Nothing named and something there: unknown.  Named, but a smooth function of a driver adds a good part of what
-    the name explains: the name is withdrawn.  Something on another driver, and strong: the names are looked for again
+    the name explains: the name is withdrawn, be it that it leaves no more than one function can stand for or so much
+    that it cannot be right.  Something on another driver, and strong: the names are looked for again
     beside it (`name_again` names on domains that have it as a nuisance).  Less: a remainder.
     """
     for scale_like in (False, True):
@@ -155,18 +161,37 @@ def unexplained(
         return model, Unknown(driver, part, p_value, strength, names, named=p_value < ALPHA)
     related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
     strongest = max((model.parts[i].chi2 for i in related), default=0.0)
-    if related and strength > WITHDRAW_SHARE * strongest and _left_over(model, joint) > SHAPE_SHARE:
+    crowded = (
+        len(model.parts) == MAX_EFFECTS
+    )  # the names ended for want of room, not because nothing was left
+    half_told = related and (crowded or top.statistic > WITHDRAW_SHARE * _gain(model, related))
+    if (
+        related
+        and (half_told or strength > WITHDRAW_SHARE * strongest)
+        and (crowded or _left_over(model, joint) > SHAPE_SHARE)
+    ):
         withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
+        if withdrawn is None and half_told and (crowded or p_value < FALSE_ALPHA):
+            withdrawn = _withdrawn(generic, domains, model, null, related, stands=0.0)
         if withdrawn is not None:
             return withdrawn
     if p_value < BESIDE_ALPHA and strength > STANDS_OUT * max(p.chi2 for p in model.parts):
         beside = [domain(d.work, group.columns(d.work, top.variant.parameters)) for d in domains]
         parts = name_again(beside).parts
-        again = build(parts, domains, model.fit.weights)
-        again = Model(parts, again.frame, again.fit)
-        strength = partial_chi2(build([*parts, part], domains, model.fit.weights))[-1]
-        return again, Unknown(driver, part, p_value, strength, [], named=True)
+        *strengths, strength = partial_chi2(build([*parts, part], domains, model.fit.weights))
+        kept = [p for p, worth in zip(parts, strengths, strict=True) if worth > ITS_SHAPE * strength]
+        again = build(kept, domains, model.fit.weights)
+        dropped = [p.effect for p in parts if p not in kept]
+        return Model(kept, again.frame, again.fit), Unknown(
+            driver, part, p_value, strength, dropped, named=True
+        )
     return model, Unknown(driver, part, p_value, strength, [], named=False)
+
+
+def _gain(model: Model, chosen: list[int]) -> float:
+    """2 Δ log-likelihood of the chosen parts, the others staying."""
+    rest = [p for i, p in enumerate(model.parts) if i not in chosen]
+    return 2.0 * (model.fit.loglik - build(rest, model.frame.domains, model.fit.weights).fit.loglik)
 
 
 def _nearly_whole(model: Model, several: list[int], kept: Model, unknown: Unknown | None) -> bool:
