@@ -153,4 +153,4 @@ def test_two_poles_are_told_as_the_lag_they_are_on_a_slow_ramp():
     assert told["scale_ppm_per_K"].value == -1000.0
     assert told["tau_s"].value == pytest.approx(280.0)
     low, high = told["scale_ppm_per_K"].ci95
-    assert high - low < 25.0  # of one pole alone: 90
+    assert high - low < 50.0  # the shape to a percent makes 39; of one pole alone the noise makes 90
