@@ -84,11 +84,12 @@ def align(
     valid: np.ndarray,
     clear: Callable[[FloatArray], FloatArray],
     spread: FloatArray | None = None,
+    left_out: frozenset[str] = frozenset(),
 ) -> Timing:
     """Fit the timing of one recording.
 
     `whole` (n,) is measured − simulated [dps]; `clear` takes out of a residual what is neither timing nor noise;
-    `spread` (n,) is the residual's relative noise.
+    `spread` (n,) is the residual's relative noise. What is `left_out` of the catalogue is not fitted.
     """
     t = columns["t_s"]
     residual = clear(whole)
@@ -110,7 +111,7 @@ def align(
     ):
         timing.moved = ref.rate
         return timing
-    _decide(timing, base, t, span, residual, ref, lambda moved: clear(whole - (moved - ref.rate)))
+    _decide(timing, base, t, span, residual, ref, lambda moved: clear(whole - (moved - ref.rate)), left_out)
     timing.gains["misalignment"] = rolling
     timing.sample_s = float(np.median(np.diff(t)))
     timing.change_rms_dps = float(np.std((timing.moved - ref.rate)[valid]))
@@ -202,6 +203,7 @@ def _decide(
     residual: FloatArray,
     ref: Reference,
     without: Callable[[FloatArray], FloatArray],
+    left_out: frozenset[str],
 ) -> None:
     """Name what the timing is: delay, clock drift, bandwidth, or a class of them.
 
@@ -218,6 +220,12 @@ def _decide(
     only, drift, bandwidth, both = (
         base.gain([], without(moved))[0] for moved in (*motions, ref.moved(t, slid))
     )
+    only, bandwidth = (
+        -np.inf if name in left_out else gain
+        for name, gain in (("timestamp_skew", only), ("bandwidth", bandwidth))
+    )
+    if "clock_drift" in left_out:
+        drift = both = -np.inf
     timing.gains |= {"timestamp_skew": only, "bandwidth": bandwidth, "clock_drift": max(both, drift)}
     timing.gains["drift_alone"] = drift
     if drift > max(only, bandwidth) + SIMPLER and both - drift < SECOND and drift > SIGNIFICANT:

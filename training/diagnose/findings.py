@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from scipy import stats
 
 from training.diagnose.align import rivals
@@ -19,7 +20,7 @@ from training.diagnose.intervals import WIDER, Estimates, estimates
 from training.diagnose.likelihood import inverse
 from training.diagnose.naming import Model
 from training.diagnose.noise import noise_findings
-from training.diagnose.pipeline import Analysis
+from training.diagnose.pipeline import WAKE, Analysis
 from training.diagnose.refit import parameters_of, visible_part, waveform, where_of
 from training.diagnose.unknown import Unknown, empirical
 from training.effects.alias import ALIAS_CLASSES
@@ -28,6 +29,9 @@ from training.effects.catalogue import effect
 CERTAIN = 1e-12
 INTEGRITY = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error", "timing_jitter"})
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
+TIMING = frozenset({"timestamp_skew", "clock_drift", "bandwidth"})
+SHAPED_BY_RATE = frozenset({"scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"})
+FAINT = 150.0  # χ²
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
 EARTH_SURE = 3.0  # standard errors above that, from which it is too large
 EARTH_DPS = 15.041 / 3600.0  # the most that the Earth's rotation can show, on a unit that lies flat
@@ -65,12 +69,40 @@ def findings_of(analysis: Analysis, early: Sequence[Finding]) -> list[Finding]:
         row = unknown_finding(analysis, analysis.unknown, analysis.model)
         timing = max((i.timing.change_rms_dps for i in analysis.intakes), default=0.0)
         found += [row] if row.rms_dps > TIMING_LEFT * timing else []
-    return sorted(found, key=lambda f: -f.strength)
+    return sorted((f for f in found if not _is_wake(f, found)), key=lambda f: -f.strength)
+
+
+def _is_wake(found: Finding, beside: Sequence[Finding]) -> bool:
+    """Whether a faint timing error is no more than what the inexact shape of a giant on the rate leaves."""
+    giant = max((f.rms_dps for f in beside if f.effect in SHAPED_BY_RATE), default=0.0)
+    return found.effect in TIMING and found.strength < FAINT and found.rms_dps < WAKE * giant
 
 
 def early_findings(analysis: Analysis) -> list[Finding]:
     """What the stages before the slow physics found: frames, timing, single samples."""
-    return [*_integrity(analysis), *_timing(analysis), *_fast(analysis)]
+    found = [*_integrity(analysis), *_timing(analysis), *_fast(analysis)]
+    return [_unnamed(f, analysis.settings.left_out) for f in found]
+
+
+def _unnamed(found: Finding, left_out: frozenset[str]) -> Finding:
+    """The finding without the names that are left out: what was seen stays, as something without a name."""
+    names = [name for name in found.alternatives if name not in left_out]
+    if found.effect not in left_out:
+        status = found.status if len(names) > 1 else "named"
+        return replace(
+            found,
+            alternatives=names,
+            status=status,
+            separate_by=found.separate_by if len(names) > 1 else None,
+        )
+    return replace(
+        found,
+        effect="unknown",
+        status="unknown",
+        alternatives=["unknown"],
+        separate_by=None,
+        text=f"{found.text}, which no catalogue entry carries",
+    )
 
 
 def _integrity(analysis: Analysis) -> list[Finding]:
@@ -151,8 +183,6 @@ def _fast(analysis: Analysis) -> list[Finding]:
     rows: dict[str, Finding] = {}
     for intake in analysis.intakes:
         for fast in intake.fast:
-            if fast.effect in analysis.settings.left_out:
-                continue
             parameters = {
                 k: Parameter(v, unit, (v - 1.96 * e, v + 1.96 * e))
                 for k, (v, e, unit) in fast.parameters.items()

@@ -102,7 +102,8 @@ def take_in(
     quick, gain = clear(filled), cleared(filled, t, truth, temp, valid)[1]
     smoothed = reference(t, truth, quick)
     ref = unbiased(smoothed, quick, gain)
-    found = align(columns, filled, ref, valid, clear) if timing is None else timing.applied(ref)
+    names = settings.left_out
+    found = align(columns, filled, ref, valid, clear, None, names) if timing is None else timing.applied(ref)
     left = filled - (found.moved - ref.rate)
     tested = clear(left) if found.effects else quick
     quantized = quantization_finding(columns["rate_dps"], left, valid, smoothed.noise_dps)
@@ -112,7 +113,11 @@ def take_in(
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
     if spread is not None:
         ref = unbiased(smoothed, tested, gain, spread)
-        found = align(columns, filled, ref, valid, clear, spread) if timing is None else timing.applied(ref)
+        found = (
+            align(columns, filled, ref, valid, clear, spread, names)
+            if timing is None
+            else timing.applied(ref)
+        )
         left = filled - (found.moved - ref.rate)
     fast += [variance.finding] if variance.finding is not None else []
     driving = found.moved
