@@ -9,7 +9,9 @@ import urllib.request
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from rtcomp.commands.view import command
 from rtcomp.demo import MODEL
 from rtcomp.errors import RequestError, WorkError
 from rtcomp.frames import CORRECTED, Flag
@@ -232,6 +234,13 @@ def test_no_display_and_no_stream_are_said_in_one_sentence(monkeypatch, tmp_path
     with pytest.raises(RequestError, match=r"\.rrd"):
         run_view(ViewConfig(files=[str(MODEL)], save=str(tmp_path / "n.txt")), print)
     assert sorted(tmp_path.iterdir()) == sorted([nobody, somebody])
+
+
+@pytest.mark.parametrize("size", ["lots", "64M", "5KB", "-1GB", "1 GB", ""])
+def test_a_memory_limit_that_rerun_cannot_read_is_refused_before_anything_is_waited_for(size):
+    told = CliRunner().invoke(command, ["--memory-limit", size])
+    assert told.exit_code == 2
+    assert "256MiB" in told.stderr
 
 
 def test_without_rerun_the_way_on_is_said(tmp_path):

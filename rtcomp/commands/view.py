@@ -1,9 +1,18 @@
 """`rtcomp view`: surfaces and streams in rerun, live from zenoh or from files."""
 
 import json
+import re
 from typing import Any
 
 import click
+
+MEMORY = re.compile(r"\d+(\.\d+)?(B|[kMGT]B|[KMGT]iB|%)")  # what rerun reads; it asks only once it is started
+
+
+def _memory(_context: click.Context, _parameter: click.Parameter, value: str) -> str:
+    if not MEMORY.fullmatch(value):
+        raise click.BadParameter(f"{value!r} is no size; write 256MiB, 1GB or 25% (of the machine's memory)")
+    return value
 
 
 @click.command("view")
@@ -15,6 +24,7 @@ import click
 @click.option(
     "--memory-limit",
     default="256MiB",
+    callback=_memory,
     show_default=True,
     help="Data that rerun may hold, the oldest go first; its process takes about twice that.",
 )
