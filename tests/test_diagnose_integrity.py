@@ -113,3 +113,16 @@ def test_a_staircase_is_one_though_its_codes_are_stored_on_a_finer_grid():
     fine = np.rint(rate / 1e-3) * 1e-3
     noisy = 0.026 * rng.standard_normal(len(rate))
     assert quantization_finding(fine, fine - rate + noisy, every, 0.0262) is None
+
+
+def test_the_step_of_a_staircase_is_known_well_enough_to_count_it_across_wide_gaps():
+    from training.diagnose.fast import quantization_finding
+
+    rng = np.random.default_rng(4)
+    level = np.repeat([0.0, 11.3, -8.2, 40.1, 3.7], 2000)  # codes far apart, with nothing between them
+    rate = level + 0.4 * np.sin(np.arange(len(level)) / 90.0) + 2e-3 * rng.standard_normal(len(level))
+    lsb, grid = 0.018857374, 1.0825e-3
+    coarse = np.rint(np.rint(rate / lsb) * lsb / grid) * grid
+    found = quantization_finding(coarse, coarse - rate, np.ones(len(rate), bool))
+    assert found is not None
+    assert abs(found.parameters["lsb_dps"][0] / lsb - 1.0) < 1e-4

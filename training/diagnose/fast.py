@@ -190,7 +190,13 @@ def _staircase(codes: FloatArray) -> float | None:
     least = float(np.min(steps[steps > 1e-9 * max(np.max(np.abs(codes)), 1.0)], initial=np.inf))
     if not np.isfinite(least):
         return None
-    step = float(np.median(steps[steps < 1.5 * least]))
+    step = float(np.mean(steps[steps < 1.5 * least]))
+    for reach in (
+        20.0,
+        400.0,
+    ):  # wider gaps tell the step more exactly, once it is known well enough to count them
+        near = steps[steps < reach * step]
+        step = float(np.sum(near) / np.sum(np.rint(near / step)))
     multiples = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])
     lsb, _ = np.polyfit(multiples, codes, 1)
     beside = (codes - codes[0]) / lsb - multiples
