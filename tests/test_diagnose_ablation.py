@@ -25,6 +25,19 @@ def ripple_of_the_supply():
     return recording(31, lambda t, rate, temp: 0.003 * np.sin(2 * np.pi * 0.31 * t), static=True)
 
 
+def test_a_line_is_found_beside_a_reference_three_times_as_noisy_as_it():
+    """What is estimated of such a reference has a share of the line, which is not the motion's."""
+    base = late(35)
+    t, rng = base["t_s"], np.random.default_rng(35)
+    line = 0.02 * np.sin(2 * np.pi * 0.61 * t)
+    measured = {
+        "rate_dps": base["rate_dps"] + line,
+        "ref_rate_dps": base["ref_rate_dps"] + 0.06 * rng.standard_normal(len(t)),
+    }
+    told = diagnosed(Recording(base.name, dict(base.columns) | measured))
+    assert "supply_ripple" in [f.effect for f in told.findings]
+
+
 def sawtooth_in_temperature():
     """A compensation table's sawtooth of 6 K in a chamber cycle at rest, simulated."""
     return recording(32, lambda t, rate, temp: 0.02 * ((temp / 6.0) % 1.0 - 0.5), static=True)

@@ -107,7 +107,7 @@ def take_in(
     left = filled - (found.moved - ref.rate)
     tested = clear(left) if found.effects else quick
     quantized = quantization_finding(columns["rate_dps"], left, valid, smoothed.noise_dps)
-    line = line_finding(tested, found.moved, t, valid)
+    line = line_finding(tested, truth, t, valid)  # the smoothed one has a share of the residual's lines
     fast = [f for f in (quantized, line) if f is not None]
     variance = VarianceModel() if quantized is not None else variance_model(tested, found.moved, t, valid)
     spread = variance.spread(found.moved, t) if variance.rate + variance.slope > 0.0 else None
@@ -150,7 +150,7 @@ def fast_findings(intake: Intake, wave: FloatArray) -> list[FastFinding]:
         quantization_finding(
             columns["rate_dps"], left, valid, intake.reference.noise_dps if intake.reference else 0.0
         ),
-        line_finding(tested, rate, columns["t_s"], valid),
+        line_finding(tested, truth, columns["t_s"], valid),
         variance_model(tested, rate, columns["t_s"], valid).finding,
     )
     return [f for f in found if f is not None]

@@ -165,17 +165,15 @@ def unexplained(
         len(model.parts) == MAX_EFFECTS
     )  # the names ended for want of room, not because nothing was left
     half_told = related and (crowded or top.statistic > WITHDRAW_SHARE * _gain(model, related))
-    if (
-        related
-        and (half_told or strength > WITHDRAW_SHARE * strongest)
-        and (crowded or _left_over(model, joint) > SHAPE_SHARE)
-    ):
+    its_shape = bool(related) and not crowded and _left_over(model, joint) <= SHAPE_SHARE
+    if related and not its_shape and (half_told or strength > WITHDRAW_SHARE * strongest):
         withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
         if withdrawn is None and half_told and (crowded or p_value < FALSE_ALPHA):
             withdrawn = _withdrawn(generic, domains, model, null, related, stands=0.0)
         if withdrawn is not None:
             return withdrawn
-    if p_value < BESIDE_ALPHA and strength > STANDS_OUT * max(p.chi2 for p in model.parts):
+    stands_out = strength > STANDS_OUT * max(p.chi2 for p in model.parts)
+    if p_value < BESIDE_ALPHA and stands_out and not its_shape:
         beside = [domain(d.work, group.columns(d.work, top.variant.parameters)) for d in domains]
         parts = name_again(beside).parts
         *strengths, strength = partial_chi2(build([*parts, part], domains, model.fit.weights))
