@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from msgspec.structs import replace
 from scipy import stats
 
-from training.diagnose.align import rivals
 from training.diagnose.design import Domain
 from training.diagnose.document import (
     Alignment,
@@ -15,19 +13,17 @@ from training.diagnose.document import (
     Parameter,
     Where,
 )
-from training.diagnose.intake import Intake
+from training.diagnose.early import CERTAIN
 from training.diagnose.intervals import WIDER, Estimates, estimates
 from training.diagnose.likelihood import inverse
+from training.diagnose.named import named
 from training.diagnose.naming import Model
 from training.diagnose.noise import noise_findings
 from training.diagnose.pipeline import WAKE, Analysis
 from training.diagnose.refit import parameters_of, visible_part, waveform, where_of
 from training.diagnose.unknown import Unknown, empirical
-from training.effects.alias import ALIAS_CLASSES
 from training.effects.catalogue import effect
 
-CERTAIN = 1e-12
-INTEGRITY = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error", "timing_jitter"})
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
 TIMING = frozenset({"timestamp_skew", "clock_drift", "bandwidth"})
 SHAPED_BY_RATE = frozenset({"scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"})
@@ -35,26 +31,6 @@ FAINT = 300.0  # χ²
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
 EARTH_SURE = 3.0  # standard errors above that, from which it is too large
 EARTH_DPS = 15.041 / 3600.0  # the most that the Earth's rotation can show, on a unit that lies flat
-
-
-def separate_by(name: str, others: Sequence[str]) -> str:
-    """The recording that would tell `name` from the others."""
-    texts = [c.separate_by for c in ALIAS_CLASSES if name in c.members and set(others) & set(c.members)]
-    return "; or ".join(dict.fromkeys(texts)) if texts else effect(name).excitation
-
-
-def _finding(name: str, others: Sequence[str], **rest: object) -> Finding:
-    ordered = [name, *[o for o in others if o != name]]
-    status = "named" if len(ordered) == 1 else "ambiguous"
-    drivers = effect(name).drivers
-    return Finding(
-        effect=name,
-        status=status,
-        alternatives=ordered,
-        separate_by=None if status == "named" else separate_by(name, ordered[1:]),
-        driver=str(rest.pop("driver", drivers[0] if drivers else "time")),
-        **rest,  # type: ignore[arg-type]
-    )
 
 
 def findings_of(analysis: Analysis, early: Sequence[Finding]) -> list[Finding]:
@@ -78,131 +54,6 @@ def _is_wake(found: Finding, beside: Sequence[Finding]) -> bool:
     return found.effect in TIMING and found.strength < FAINT and found.rms_dps < WAKE * giant
 
 
-def early_findings(analysis: Analysis) -> list[Finding]:
-    """What the stages before the slow physics found: frames, timing, single samples."""
-    found = [*_integrity(analysis), *_timing(analysis), *_fast(analysis)]
-    return [_unnamed(f, analysis.settings.left_out) for f in found]
-
-
-def _unnamed(found: Finding, left_out: frozenset[str]) -> Finding:
-    """The finding without the names that are left out: what was seen stays, as something without a name."""
-    names = [name for name in found.alternatives if name not in left_out]
-    if found.effect not in left_out:
-        status = found.status if len(names) > 1 else "named"
-        return replace(
-            found,
-            alternatives=names,
-            status=status,
-            separate_by=found.separate_by if len(names) > 1 else None,
-        )
-    return replace(
-        found,
-        effect="unknown",
-        status="unknown",
-        alternatives=["unknown"],
-        separate_by=None,
-        text=f"{found.text}, which no catalogue entry carries",
-    )
-
-
-def _integrity(analysis: Analysis) -> list[Finding]:
-    rows: dict[str, Finding] = {}
-    for index, intake in enumerate(analysis.intakes):
-        noise = max(_white(intake), 1e-12)
-        raw = np.asarray(intake.recording.columns["rate_dps"], dtype=np.float64)
-        truth = np.asarray(intake.recording.columns.get("ref_rate_dps", np.zeros(len(raw))), dtype=np.float64)
-        for fault in intake.checked.faults:
-            if fault.effect == "unit_error":
-                energy = float(np.nansum((raw - truth) ** 2))
-            elif fault.effect == "frozen_frames" and len(raw) == len(intake.residual):
-                bad = ~intake.checked.valid & np.isfinite(raw) & np.isfinite(truth)
-                energy = float(np.sum((raw[bad] - truth[bad]) ** 2))
-            else:
-                energy = 0.0
-            where = Where([[] for _ in analysis.intakes], [])
-            where.segments[index] = fault.segments[:200]
-            parameters = {k: Parameter(v, unit, (v, v)) for k, (v, unit) in fault.parameters.items()}
-            row = _finding(
-                fault.effect,
-                [],
-                where=where,
-                parameters=parameters,
-                rms_dps=float(np.sqrt(energy / max(len(raw), 1))),
-                p_value=CERTAIN,
-                text=fault.text,
-                strength=energy / noise**2 + float(fault.samples),
-            )
-            if fault.effect in rows:
-                rows[fault.effect].where.segments[index] = fault.segments[:200]
-                rows[fault.effect].strength += row.strength
-            else:
-                rows[fault.effect] = row
-    return list(rows.values())
-
-
-def _white(intake: Intake) -> float:
-    """Deviation of neighbouring residuals, the white noise per sample [dps]."""
-    steps = np.diff(intake.residual[intake.checked.valid])
-    return float(1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0)) if len(steps) else 0.0
-
-
-def _timing(analysis: Analysis) -> list[Finding]:
-    rows: dict[str, Finding] = {}
-    names = {"timestamp_skew": ("delay_s", "s", "delay_se"), "clock_drift": ("ppm", "ppm", "clock_se")}
-    for intake in analysis.intakes:
-        timing = intake.timing
-        for name in timing.effects:
-            if name in names:
-                key, unit, error = names[name]
-                value = timing.delay_s if name == "timestamp_skew" else timing.clock_ppm
-                half = 1.96 * getattr(timing, error)
-            else:
-                key, unit, value, half = (
-                    "cutoff_hz",
-                    "Hz",
-                    float(timing.corner_Hz or 0.0),
-                    0.1 * float(timing.corner_Hz or 0.0),
-                )
-            gain = timing.gains.get(name, 0.0)
-            row = _finding(
-                name,
-                list(rivals(timing, name)),
-                where=Where([[] for _ in analysis.intakes], []),
-                parameters={key: Parameter(float(value), unit, (float(value - half), float(value + half)))},
-                rms_dps=timing.change_rms_dps,
-                p_value=float(max(np.exp(-0.5 * gain) * 100.0, 1e-300)),
-                strength=gain,
-                text=f"{effect(name).title} in {intake.recording.name}",
-            )
-            if name not in rows or rows[name].strength < row.strength:
-                rows[name] = row
-    return list(rows.values())
-
-
-def _fast(analysis: Analysis) -> list[Finding]:
-    rows: dict[str, Finding] = {}
-    for intake in analysis.intakes:
-        for fast in intake.fast:
-            parameters = {
-                k: Parameter(v, unit, (v - 1.96 * e, v + 1.96 * e))
-                for k, (v, e, unit) in fast.parameters.items()
-            }
-            strength = float(np.clip(-2.0 * np.log(max(fast.p_value, 1e-300)), 0.0, 1400.0))
-            row = _finding(
-                fast.effect,
-                list(fast.alternatives),
-                where=Where([[] for _ in analysis.intakes], []),
-                parameters=parameters,
-                rms_dps=fast.rms_dps,
-                p_value=fast.p_value,
-                text=fast.text,
-                strength=strength,
-            )
-            if fast.effect not in rows or rows[fast.effect].strength < strength:
-                rows[fast.effect] = row
-    return list(rows.values())
-
-
 def _coefficients(analysis: Analysis) -> list[Finding]:
     """Offset and scale factor beyond their tolerances, each told by the recording that shows it most."""
     found: dict[str, Finding] = {}
@@ -218,7 +69,7 @@ def _coefficients(analysis: Analysis) -> list[Finding]:
                 continue
             if name in found and abs(found[name].parameters[unit].value) >= abs(value.value):
                 continue
-            found[name] = _finding(
+            found[name] = named(
                 name,
                 [],
                 where=Where([[] for _ in analysis.intakes], []),
@@ -245,7 +96,7 @@ def _physics(analysis: Analysis) -> list[Finding]:
             others.append("earth_rate")
         driver = effect(part.effect).drivers[0]
         found.append(
-            _finding(
+            named(
                 part.effect,
                 others,
                 driver=driver,

@@ -9,7 +9,8 @@ from training.diagnose.document import (
     Remainder,
     probability,
 )
-from training.diagnose.findings import BAD, alignments, early_findings, findings_of, unknown_finding
+from training.diagnose.early import early_findings
+from training.diagnose.findings import BAD, alignments, findings_of, unknown_finding
 from training.diagnose.noise import noise_note
 from training.diagnose.pipeline import Analysis
 from training.diagnose.prove import summary
