@@ -10,7 +10,6 @@ from training.diagnose.generic import CYCLIC
 from training.diagnose.library import Group
 from training.diagnose.naming import (
     ALPHA,
-    MAX_EFFECTS,
     Model,
     Part,
     build,
@@ -161,14 +160,11 @@ def unexplained(
         return model, Unknown(driver, part, p_value, strength, names, named=p_value < ALPHA)
     related = [i for i, p in enumerate(model.parts) if _related(p.group, driver)]
     strongest = max((model.parts[i].chi2 for i in related), default=0.0)
-    crowded = (
-        len(model.parts) == MAX_EFFECTS
-    )  # the names ended for want of room, not because nothing was left
-    half_told = related and (crowded or top.statistic > WITHDRAW_SHARE * _gain(model, related))
-    its_shape = bool(related) and not crowded and _left_over(model, joint) <= SHAPE_SHARE
+    half_told = related and top.statistic > WITHDRAW_SHARE * _gain(model, related)
+    its_shape = bool(related) and _left_over(model, joint) <= SHAPE_SHARE
     if related and not its_shape and (half_told or strength > WITHDRAW_SHARE * strongest):
         withdrawn = _withdrawn(generic, domains, model, null, related, more=MUST_ADD * top.statistic)
-        if withdrawn is None and half_told and (crowded or p_value < FALSE_ALPHA):
+        if withdrawn is None and half_told and p_value < FALSE_ALPHA:
             withdrawn = _withdrawn(generic, domains, model, null, related, stands=0.0)
         if withdrawn is not None:
             return withdrawn
