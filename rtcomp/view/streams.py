@@ -11,6 +11,7 @@ from rtcomp.view.columns import Elapsed, Times, send_scalars, send_states, side_
 from rtcomp.view.rerun_sdk import load_rerun
 
 SLOPE_TAU_S = 10.0  # dT/dt is taken from the temperature against its low pass of this time constant
+SLOT_NS = 500_000_000  # between two temperatures
 STATES_PER_BATCH = 20
 GRAVE = (
     Flag.SENSOR_FAULT | Flag.FRAMES_LOST | Flag.BAD_FRAME_BEFORE | Flag.TEMPERATURE_MISSING | Flag.NO_MODEL
@@ -86,10 +87,12 @@ class ChannelStreams:
 
     def _temperature(self, samples: np.ndarray) -> None:
         """Two rows a second are enough for temperature."""
+        if int(samples["t_ns"][-1]) // SLOT_NS == self._slot:
+            return
         known = np.flatnonzero(np.isfinite(samples["temp_degC"]))
         if not len(known):
             return
-        slots = samples["t_ns"][known] // 500_000_000
+        slots = samples["t_ns"][known] // SLOT_NS
         rows = samples[known[np.flatnonzero(np.diff(slots, prepend=self._slot))]]
         self._slot = int(slots[-1])
         if not len(rows):
@@ -112,6 +115,8 @@ class ChannelStreams:
         return lag / SLOPE_TAU_S
 
     def _log_flags(self, t_ns: np.ndarray, flags: np.ndarray) -> None:
+        if (flags == self._flags).all():
+            return
         before = np.concatenate([[self._flags], flags[:-1]]).astype(np.uint32)
         changed = before ^ flags
         for flag in Flag(int(np.bitwise_or.reduce(changed))):
