@@ -11,7 +11,7 @@ from pathlib import Path
 import atheris
 from atheris.import_hook import instrument_imports
 
-GUIDED = ["rtcomp", "training", "tools", "can", "cantools", "textparser", "json"]
+GUIDED = ["rtcomp", "training", "tools", "can", "cantools", "textparser", "json", "tomllib"]
 ROOT = Path(__file__).parents[1]
 
 
