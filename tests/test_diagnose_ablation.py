@@ -1,11 +1,13 @@
-"""A true effect whose entry is taken out of the catalogue is told as unknown, not by a neighbour's name."""
+"""Where a name would say too much: entries left out, faint companions of a giant, intervals, the Earth."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.diagnose_cases import recording
 from training.diagnose.document import Finding, Where
-from training.diagnose.findings import _is_wake
+from training.diagnose.findings import _is_wake, _like_earth
 from training.diagnose.intervals import Estimates
 from training.diagnose.pipeline import analyse
 from training.diagnose.settings import Settings
@@ -121,3 +123,15 @@ def test_an_interval_is_no_narrower_than_the_catalogues_shapes_are_true_save_for
     low, high = sharp.interval(0)
     assert high - low == pytest.approx(2 * 1.96 * 0.02, rel=1e-3)
     assert sharp.interval(1) == (7.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("second_dps", "first_dps", "is_like"),
+    [(0.3e-3, 2e-3, True), (0.9e-3, 2e-3, False), (0.3e-3, 8e-3, False)],
+)
+def test_a_second_harmonic_within_the_noise_does_not_rule_the_earth_out(second_dps, first_dps, is_like):
+    """Errors of 0.14e-3 °/s each; the Earth turns by 4.18e-3."""
+    fit = SimpleNamespace(
+        beta=np.array([first_dps, 0.0, second_dps, 0.0]), information=np.eye(4) / 0.14e-3**2
+    )
+    assert _like_earth({"order": 2.0}, SimpleNamespace(fit=fit), slice(0, 4)) is is_like

@@ -30,6 +30,7 @@ SHAPED_BY_RATE = frozenset({"scale_nonlinearity", "saturation", "scale_asymmetry
 FAINT = 300.0  # χ²
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
 EARTH_SURE = 3.0  # standard errors above that, from which it is too large
+SECOND_SURE = 4.0  # standard errors of a second harmonic that is one
 EARTH_DPS = 15.041 / 3600.0  # the most that the Earth's rotation can show, on a unit that lies flat
 
 
@@ -112,11 +113,14 @@ def _physics(analysis: Analysis) -> list[Finding]:
 
 
 def _like_earth(point: dict[str, float], model: Model, where: slice) -> bool:
-    """One cycle per turn and, within its error, small enough for a tilted unit in the Earth's rotation."""
-    if point["order"] > 1.5:
-        return False
+    """One cycle per turn and, within its error, small enough for a tilted unit in the Earth's rotation.
+
+    A second harmonic, which the Earth has not, must be beyond the noise's before it rules the Earth out.
+    """
     beta, error = model.fit.beta[where], np.sqrt(np.diag(inverse(model.fit.information))[where])
-    return float(np.hypot(*beta)) - EARTH_SURE * float(np.max(error)) < EARTH_DPS
+    if point["order"] > 1.5 and np.hypot(*beta[2:]) > SECOND_SURE * np.max(error[2:]):
+        return False
+    return float(np.hypot(*beta[:2])) - EARTH_SURE * float(np.max(error[:2])) < EARTH_DPS
 
 
 def unknown_finding(analysis: Analysis, unknown: Unknown, model: Model) -> Finding:
