@@ -1,6 +1,8 @@
 """Untrusted bytes at every door: done, or refused with a reason, and never anything else."""
 
 import logging
+import struct
+import zlib
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -66,8 +68,21 @@ def test_any_input_is_taken_or_refused(name, caplog):
     anything()
 
 
+def blf_of(objects):
+    """A BLF log whose one container holds these bytes, simulated."""
+    packed = zlib.compress(objects)
+    head = struct.pack("<4sL8BQQLL8H8H72x", b"LOGG", 144, 5, 0, 0, 0, 2, 6, 8, 1,
+                       144 + 32 + len(packed), len(objects), 1, 0, *[0] * 16)  # fmt: skip
+    holder = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(packed), 10, 2, len(objects))
+    return head + holder + packed
+
+
 # Found by fuzzing, mended, and never to come back.
 FINDINGS = {
+    "an object of no length in a .blf log": (
+        "blf",
+        blf_of(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 0, 999) + bytes(48)),
+    ),
     "a table's header that is not UTF-8": ("recording", b"\x80t_s,rate_dps,temp_degC\n0.0,1.0,20.0\n"),
     "an id of more than 32 bits in a log": ("asc", ASC.replace(b"0A0 ", b"B" * 20)),
     "an id of 30 bits in a log": ("asc", ASC.replace(b"0A0 ", b"3FFFFFFFx")),

@@ -3,6 +3,7 @@
 import gzip
 import subprocess
 import sys
+import zlib
 
 import can
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from rtcomp.errors import RequestError
 from rtcomp.frames import FRAME, FrameFlag
+from rtcomp.sources.blf import NO_SIZE
 from rtcomp.sources.logs import BATCH, read_log
 from rtcomp.sources.messages import to_frames
 
@@ -148,6 +150,16 @@ def test_truncated_mf4_is_refused(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code, path], check=True, capture_output=True, text=True)
     assert "wanted a complete .mf4 log" in done.stdout
+
+
+def test_a_payload_that_looks_like_an_object_of_no_length_is_a_payload(tmp_path):
+    like = b"LOBJ" + bytes(range(4)) + bytes(52) + b"LOBJ"
+    fd = can.Message(
+        timestamp=START, arbitration_id=5, is_extended_id=False, is_fd=True, channel=0, data=like
+    )
+    path = write_log(tmp_path / "like.blf", [fd] * 3)
+    assert NO_SIZE.search(zlib.decompress(path.read_bytes()[144 + 32 :]))
+    assert [bytes(frame["data"][: frame["length"]]) for frame in read_all(path)] == [like] * 3
 
 
 def test_frames_before_the_damage_are_passed_on(tmp_path):

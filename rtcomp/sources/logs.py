@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from numpy.typing import NDArray
 
 from rtcomp.errors import RequestError
+from rtcomp.sources.blf import blf_reader
 from rtcomp.sources.candump import open_log, read_candump
 from rtcomp.sources.messages import to_frames
 from rtcomp.sources.python_can import import_can, mf4_reader
@@ -102,7 +103,7 @@ def _reader(path: Path, kind: str, file: BinaryIO) -> "MessageReader":
     if kind == ".db":
         return can.SqliteReader(path)
     if kind == ".blf":
-        return can.BLFReader(file)
+        return blf_reader(file)
     text = TextIOWrapper(file, encoding="utf-8", errors="replace")
     if kind == ".asc":
         return can.ASCReader(text, relative_timestamp=not _asc_date_is_known(path))
