@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from rtcomp import fog_format
 from rtcomp.model import Rules, Term, new_model
@@ -11,6 +12,8 @@ from rtcomp.plan import compile_map
 from rtcomp.signal_map import load_map
 
 START_NS = 1_767_225_600_000_000_000
+settings.register_profile("untimed", deadline=None)  # a first call compiles, and machines are busy
+settings.load_profile("untimed")
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cantools
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtcomp.signal_map import (
@@ -130,7 +130,6 @@ def test_the_readme_example_is_a_valid_map(tmp_path):
     assert loaded.channels[0].period_s == tomllib.loads(example)["channel"][0]["period_s"]
 
 
-@settings(deadline=None)
 @given(st.tuples(INT16, INT16, INT16), INT16)
 def test_sbg_layout_is_little_endian_int16_as_documented(gyro, temperature):
     values = decode("sbg_ellipse", "SBG_IMU_GYRO", struct.pack("<hhh", *gyro))
@@ -139,7 +138,6 @@ def test_sbg_layout_is_little_endian_int16_as_documented(gyro, temperature):
     assert info["Temperature"] == pytest.approx(temperature * 0.01)
 
 
-@settings(deadline=None)
 @given(st.tuples(INT16, INT16, INT16), INT16)
 def test_xsens_layout_is_big_endian_int16_as_documented(gyro, temperature):
     values = decode("xsens_mti", "XCDI_RateOfTurn", struct.pack(">hhh", *gyro))
@@ -148,7 +146,6 @@ def test_xsens_layout_is_big_endian_int16_as_documented(gyro, temperature):
     assert heat["Temperature"] == temperature * 2.0**-8
 
 
-@settings(deadline=None)
 @given(st.tuples(UINT16, UINT16, UINT16))
 def test_openimu_layout_is_j1939_as_documented(gyro):
     values = decode("aceinna_openimu300", "AngularRate", struct.pack("<HHHBB", *gyro, 0, 0))
@@ -163,7 +160,6 @@ def test_openimu_identifier_is_pgn_61482_and_its_errors_start_above_the_range():
     assert unavailable_from(16) / 128 - 250 == 258.0  # J1939's valid range ends at +252 °/s
 
 
-@settings(deadline=None)
 @given(UINT16, st.integers(0, 15), st.integers(0, 255), st.integers(0, 15))
 def test_bosch_layouts_are_as_documented(rate, status, temperature, counter):
     payload = struct.pack("<HBBHBB", rate, status << 4, temperature, 0, counter, 0)

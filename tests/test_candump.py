@@ -57,7 +57,7 @@ def frame_rows(draw):
 
 
 @given(st.lists(frame_rows(), min_size=1, max_size=30), st.sampled_from([".log", ".log.gz"]))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_round_trip_to_the_bit(tmp_path_factory, rows, suffix):
     path = tmp_path_factory.mktemp("round") / f"trip{suffix}"
     frames = np.array(rows, FRAME)

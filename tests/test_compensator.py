@@ -35,7 +35,7 @@ def test_rules_are_the_papers_equations(ts_model):
     assert np.allclose(predict(ts_model, rate, temp).error_dps, expected, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(1, 4), st.integers(1, 6), st.integers(0, 1000))
 def test_any_number_of_rules_and_inputs(inputs, rules, seed):
     random = np.random.default_rng(seed)
@@ -250,7 +250,7 @@ def test_shapes_that_differ_are_refused(ts_model):
         predict(ts_model, np.zeros(3), np.zeros(4))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 5), st.integers(1, 300), st.integers(0, 1000))
 def test_a_block_of_rates_has_the_bits_of_each_alone(case, count, seed):
     random = np.random.default_rng(seed)

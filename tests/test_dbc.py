@@ -66,7 +66,7 @@ def same(ours, theirs):
     return struct.pack("<d", ours) == struct.pack("<d", float(theirs)) or ours == float(theirs) == 0
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(message_and_payload())
 def test_agrees_with_cantools_bit_for_bit(case):
     message, payload = case
@@ -100,7 +100,7 @@ SG_MUL_VAL_ 256 C Sub 3-3, 7-9;
 """
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(min_size=8, max_size=8))
 def test_multiplexed_signals_appear_when_cantools_says_so(payload):
     message = cantools.database.load_string(MULTIPLEXED, "dbc").messages[0]

@@ -115,6 +115,7 @@ def test_a_faint_delay_beside_a_giant_on_the_rate_is_its_wake_and_a_clear_or_lar
     assert not _is_wake(faint, [small, faint])
     assert not _is_wake(finding("clock_drift", 0.005, 600.0), [giant])
     assert not _is_wake(finding("bias_step", 0.005, 60.0), [giant])
+    assert not _is_wake(faint, [finding("multiplicative_noise", 1.0, 1e7), faint])
 
 
 def test_an_interval_is_no_narrower_than_the_catalogues_shapes_are_true_save_for_a_period():

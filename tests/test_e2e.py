@@ -7,7 +7,7 @@ import e2e.p01
 import e2e.p05
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtcomp import e2e as ours
@@ -32,13 +32,11 @@ def naive_crc(data: bytes, polynomial: int, bits: int, register: int) -> int:
     return register
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.binary(max_size=64), st.integers(0, 0xFF))
 def test_crc8_equals_the_bitwise_definition(payload, register):
     assert ours.crc8_j1850(row(payload), 0, len(payload), register) == naive_crc(payload, 0x1D, 8, register)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.binary(max_size=64), st.integers(0, 0xFFFF))
 def test_crc16_equals_the_bitwise_definition(payload, register):
     assert ours.crc16_ccitt(row(payload), 0, len(payload), register) == naive_crc(
@@ -52,7 +50,6 @@ def test_crcs_give_the_published_check_values():
     assert ours.crc16_ccitt(digits, 0, 9, 0xFFFF) == 0x29B1  # … and CCITT-FALSE
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.binary(min_size=2, max_size=32), DATA_IDS, st.integers(0, 14))
 def test_profile_1a_protects_as_the_independent_package_does(payload, data_id, counter):
     data = row(payload)
@@ -64,7 +61,6 @@ def test_profile_1a_protects_as_the_independent_package_does(payload, data_id, c
     assert ours.profile1a_ok(data, len(payload), data_id)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.binary(min_size=2, max_size=32), DATA_IDS)
 def test_profile_1a_judges_any_payload_as_the_independent_package_does(payload, data_id):
     assert ours.profile1a_ok(row(payload), len(payload), data_id) == e2e.p01.e2e_p01_check(
@@ -72,7 +68,6 @@ def test_profile_1a_judges_any_payload_as_the_independent_package_does(payload, 
     )
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.data(), st.binary(min_size=3, max_size=64), DATA_IDS, st.integers(0, 255))
 def test_profile_5_protects_as_the_independent_package_does(draw, payload, data_id, counter):
     offset = draw.draw(st.integers(0, len(payload) - 3))
@@ -85,7 +80,6 @@ def test_profile_5_protects_as_the_independent_package_does(draw, payload, data_
     assert ours.profile5_ok(data, len(payload), data_id, offset)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.data(), st.binary(min_size=8, max_size=8), DATA_IDS, st.integers(0, 14))
 def test_one_wrong_bit_is_always_noticed(draw, payload, data_id, counter):
     data = row(payload)
@@ -97,7 +91,6 @@ def test_one_wrong_bit_is_always_noticed(draw, payload, data_id, counter):
     assert not ours.profile5_ok(data, 8, data_id, 0)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.binary(min_size=8, max_size=8), DATA_IDS, DATA_IDS)
 def test_a_frame_of_another_sender_is_refused(payload, data_id, other):
     data = row(payload)

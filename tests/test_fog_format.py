@@ -7,7 +7,7 @@ import e2e.p01
 import e2e.p05
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtcomp import fog_format
@@ -27,7 +27,6 @@ def decode(database, frame):
     return database.decode_message(int(frame["can_id"]), payload, decode_choices=False)
 
 
-@settings(deadline=None)
 @given(RATES, st.integers(0, 15), st.integers(0, 10**9))
 def test_rate_frames_read_back_by_cantools_and_pass_the_independent_check(rates, status, counter):
     frames = encode_rate(np.arange(len(rates)), rates, status=status, counter=counter)
@@ -38,7 +37,6 @@ def test_rate_frames_read_back_by_cantools_and_pass_the_independent_check(rates,
         assert e2e.p01.e2e_p01_check(bytearray(frame["data"][:8]), fog_format.RATE_DATA_ID)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(TEMPERATURES, TEMPERATURES), min_size=1, max_size=20))
 def test_temperature_frames_read_back(pairs):
     housing, coil = np.array(pairs).T
@@ -50,7 +48,6 @@ def test_temperature_frames_read_back(pairs):
         assert e2e.p01.e2e_p01_check(bytearray(frame["data"][:8]), fog_format.TEMPERATURE_DATA_ID)
 
 
-@settings(deadline=None)
 @given(RATES, TEMPERATURES, TEMPERATURES, st.integers(0, 15), st.integers(0, 10**9))
 def test_fd_frames_read_back(rates, housing, coil, status, counter):
     frames = encode_fd(np.arange(len(rates)), rates, housing, coil, status=status, counter=counter)

@@ -71,7 +71,7 @@ def test_correction_is_the_compensators_over_the_same_rows(fog_map, fog_frames, 
     assert np.allclose(samples["sigma_dps"], 0.03)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(cuts=st.lists(st.integers(0, 600), max_size=8), seed=st.integers(0, 99))
 def test_how_frames_are_cut_into_arrays_changes_no_bit(fog_map, fog_frames, lag_model, cuts, seed):
     frames = fog_frames(5.0, seed=seed).copy()

@@ -59,7 +59,7 @@ def test_any_input_is_taken_or_refused(name, caplog):
     caplog.set_level(logging.CRITICAL)  # a refusal that is said a thousand times helps nobody
     count = EXAMPLES.get(name, 250)
 
-    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=count, suppress_health_check=list(HealthCheck))
     @given(data=spoiled(name) | st.binary(max_size=200))
     @example(data=b"")
     def anything(data):

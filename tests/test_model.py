@@ -102,7 +102,7 @@ def test_a_model_is_written_whole_or_not_at_all(tmp_path, ts_model):
     assert list(tmp_path.iterdir()) == []
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(ANY_JSON)
 def test_any_json_is_a_model_or_a_request_error(value):
     document = MINIMAL | value if isinstance(value, dict) else value

@@ -21,12 +21,12 @@ from training.diagnose.naming import Model
 from training.diagnose.noise import noise_findings
 from training.diagnose.pipeline import WAKE, Analysis
 from training.diagnose.refit import parameters_of, visible_part, waveform, where_of
-from training.diagnose.unknown import Unknown, empirical
+from training.diagnose.unknown import RATE_DRIVERS, Unknown, empirical
 from training.effects.catalogue import effect
 
 BAD = frozenset({"frozen_frames", "dropped_frames", "counter_wrap", "unit_error"})
 TIMING = frozenset({"timestamp_skew", "clock_drift", "bandwidth"})
-SHAPED_BY_RATE = frozenset({"scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"})
+SHAPELESS = frozenset({"multiplicative_noise", "quantization", "scale_error"})
 FAINT = 300.0  # χ²
 TIMING_LEFT = 0.01  # of a timing error's size: what an inexact shift leaves is no unknown physics
 EARTH_SURE = 3.0  # standard errors above that, from which it is too large
@@ -50,8 +50,13 @@ def findings_of(analysis: Analysis, early: Sequence[Finding]) -> list[Finding]:
 
 
 def _is_wake(found: Finding, beside: Sequence[Finding]) -> bool:
-    """Whether a faint timing error is no more than what the inexact shape of a giant on the rate leaves."""
-    giant = max((f.rms_dps for f in beside if f.effect in SHAPED_BY_RATE), default=0.0)
+    """Whether a faint timing error is no more than what a giant leaves that goes with the rate.
+
+    Its shape is inexact, and the rate times what changes slowly has a share of the rate's slope.
+    """
+    giant = max(
+        (f.rms_dps for f in beside if f.driver in RATE_DRIVERS and f.effect not in SHAPELESS), default=0.0
+    )
     return found.effect in TIMING and found.strength < FAINT and found.rms_dps < WAKE * giant
 
 
