@@ -22,13 +22,15 @@ def early_findings(analysis: Analysis) -> list[Finding]:
 def _unnamed(found: Finding, left_out: frozenset[str]) -> Finding:
     """The finding without the names that are left out: what was seen stays, as something without a name."""
     names = [name for name in found.alternatives if name not in left_out]
+    if len(names) == len(found.alternatives):
+        return found
     if found.effect not in left_out:
-        status = found.status if len(names) > 1 else "named"
+        single = len(names) == 1
         return replace(
             found,
             alternatives=names,
-            status=status,
-            separate_by=found.separate_by if len(names) > 1 else None,
+            status="named" if single else found.status,
+            separate_by=None if single else found.separate_by,
         )
     return replace(
         found,

@@ -174,11 +174,9 @@ def unexplained(
         parts = name_again(beside).parts
         *strengths, strength = partial_chi2(build([*parts, part], domains, model.fit.weights))
         kept = [p for p, worth in zip(parts, strengths, strict=True) if worth > ITS_SHAPE * strength]
-        again = build(kept, domains, model.fit.weights)
         dropped = [p.effect for p in parts if p not in kept]
-        return Model(kept, again.frame, again.fit), Unknown(
-            driver, part, p_value, strength, dropped, named=True
-        )
+        again = build(kept, domains, model.fit.weights)
+        return again, Unknown(driver, part, p_value, strength, dropped, named=True)
     return model, Unknown(driver, part, p_value, strength, [], named=False)
 
 
