@@ -22,6 +22,7 @@ class Batches:
         self._publishers = publishers
         self._gathered = [bytearray() for _ in publishers]
         self._watched = [False] * len(publishers)
+        self._anybody = False
         # Channels take turns, so that no sample waits for the batches of all of them.
         self._turn, self._due = 0, time.monotonic()
         self._step_s = INTERVAL_S / len(publishers)
@@ -29,14 +30,18 @@ class Batches:
     def watched(self) -> list[bool]:
         """See, and return, which channels' batches have a subscriber."""
         self._watched = [publisher.matching_status.matching for publisher in self._publishers]
+        self._anybody = any(self._watched)
         return self._watched
 
-    def add(self, index: int, samples: np.ndarray) -> None:
-        """Take in CORRECTED samples `(n,)` of a channel."""
-        if self._watched[index]:
-            self._gathered[index] += samples.tobytes()
-            if len(self._gathered[index]) >= LARGEST:
-                self._send(index)
+    def add(self, samples: np.ndarray, channel: np.ndarray) -> None:
+        """Take in CORRECTED samples and their channels, `(n,)` each."""
+        if not self._anybody:
+            return
+        for index, watched in enumerate(self._watched):
+            if watched:
+                self._gathered[index] += samples[channel == index].tobytes()
+                if len(self._gathered[index]) >= LARGEST:
+                    self._send(index)
 
     def flush(self, now: float) -> float:
         """Send what is due at `now` (monotonic) and see who watches; returns when to call again at the latest."""
@@ -44,11 +49,12 @@ class Batches:
             index = self._turn
             self._send(index)
             self._watched[index] = self._publishers[index].matching_status.matching
+            self._anybody = any(self._watched)
             self._turn = (index + 1) % len(self._publishers)
             self._due += self._step_s
             if now - self._due > INTERVAL_S:
                 self._due = now
-        return self._due if any(self._gathered) else float("inf")
+        return self._due
 
     def close(self) -> None:
         """Send what is left and undeclare."""

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -12,21 +12,22 @@ RAD = math.pi / 180.0
 AXES = {"roll": 0, "pitch": 1, "yaw": 2}
 UNKNOWN = -1.0  # sensor_msgs/msg/Imu: covariance[0] of a quantity that is not measured
 
-Encoder = Callable[[np.ndarray, str], Iterator[bytes]]
+Encoder = Callable[[np.ndarray, np.ndarray, Sequence[str]], Iterable[bytes]]
+"""CORRECTED samples and their channels, `(n,)` each, and the channels' names; a payload per sample, in order."""
+SIZE = CORRECTED.itemsize
 
 
-def struct_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
+def struct_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterable[bytes]:
     """The samples as they are: `CORRECTED`, packed, little-endian."""
-    content, size = samples.tobytes(), CORRECTED.itemsize
-    for start in range(0, len(content), size):
-        yield content[start : start + size]
+    content = samples.tobytes()
+    return [content[start : start + SIZE] for start in range(0, len(content), SIZE)]
 
 
-def json_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
+def json_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterator[bytes]:
     """One JSON object a sample: the struct's fields by name (null for what is not a number) and flags by name."""
-    names = CORRECTED.names or ()
+    fields = CORRECTED.names or ()
     for row in samples.tolist():
-        values = dict(zip(names, row, strict=True))
+        values = dict(zip(fields, row, strict=True))
         document = {
             k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()
         }
@@ -55,14 +56,23 @@ def imu_dtype(frame_id: str) -> np.dtype:
     )
 
 
-def cdr_payloads(samples: np.ndarray, channel: str) -> Iterator[bytes]:
+def cdr_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterable[bytes]:
     """sensor_msgs/msg/Imu [rad/s]: the rate on the channel's axis (yaw where its name says nothing)."""
-    axis = AXES.get(channel, 2)
-    imu = np.zeros(len(samples), imu_dtype(channel))
+    payloads = [b""] * len(samples)
+    for index in np.unique(channel):
+        rows = np.flatnonzero(channel == index)
+        for row, payload in zip(rows, _imu_payloads(samples[rows], names[int(index)]), strict=True):
+            payloads[row] = payload
+    return payloads
+
+
+def _imu_payloads(samples: np.ndarray, name: str) -> Iterator[bytes]:
+    axis = AXES.get(name, 2)
+    imu = np.zeros(len(samples), imu_dtype(name))
     imu["encapsulation"] = (0, 1, 0, 0)  # CDR, little-endian
     imu["sec"], imu["nanosec"] = np.divmod(samples["t_ns"], 1_000_000_000)
-    imu["frame_id"] = channel.encode()
-    imu["frame_id_size"] = len(channel.encode()) + 1
+    imu["frame_id"] = name.encode()
+    imu["frame_id_size"] = len(name.encode()) + 1
     imu["quaternion"][:, 3] = 1.0
     imu["orientation_covariance"][:, 0] = UNKNOWN
     imu["linear_acceleration_covariance"][:, 0] = UNKNOWN

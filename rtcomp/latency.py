@@ -1,110 +1,80 @@
-"""Latency per stage in bounded memory: times are gathered, folded into HDR histograms a few times a second.
+"""Latency per stage in bounded memory: HDR histograms, filled in compiled code and read by the library.
 
-The thread that publishes does this beside its work, so every piece of it is short: noting a batch copies nothing,
-folding takes one stage in turn, and percentiles are read from the histogram's counts without a loop.
+The thread that publishes does this beside its work, so it must be short: the times of all samples since the last call
+are counted at once, in the layout of the library's histogram, and percentiles are read from it without a loop.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from copy import copy
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
+from rtcomp.jit import kernel
+
 HIGHEST_NS = 60_000_000_000
 DIGITS = 2
-MANTISSA_BITS = 8  # values alike in these are one value to a histogram of two decimal digits
-STAGES = ("receive", "correct", "publish", "total")
+(FRAME, TAKEN, DONE, PUT, OUT) = range(5)
+"""Columns of passages, int64 ns of shape `(n, 5)`: the kernel's time stamp of the frame, taken, corrected, about to be
+put, put."""
+STAGES = {"receive": (FRAME, TAKEN), "correct": (TAKEN, DONE), "publish": (DONE, OUT), "total": (FRAME, PUT)}
 """From the kernel's time stamp to the hand-over of a batch, from there to corrected, from there to put out; and the
 whole way, from the kernel until it goes out. A subscriber may add `received` (`rtcomp.probe`)."""
 PERCENTILES = {"p50": 50.0, "p90": 90.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
-class Stage:
-    """Latencies of one stage [ns]; `add` from one thread only."""
+@lru_cache(maxsize=1)
+def _layout() -> tuple[Any, np.ndarray]:
+    """An empty histogram of the library, and the lowest value of each of its counters, shape `(counters,)`."""
+    from hdrh.histogram import HdrHistogram
 
-    def __init__(self, room: int = 16384) -> None:
-        from hdrh.histogram import HdrHistogram
+    histogram: Any = HdrHistogram(1, HIGHEST_NS, DIGITS)
+    return histogram, np.array([histogram.get_value_from_index(k) for k in range(histogram.counts_len)])
 
-        self._histogram: Any = HdrHistogram(1, HIGHEST_NS, DIGITS)
-        self._counts = np.ctypeslib.as_array(self._histogram.counts)
-        self._buffer = np.zeros(room, np.int64)
-        self._used = 0
 
-    def add(self, latencies_ns: np.ndarray) -> None:
-        """Take in latencies [ns]."""
-        for start in range(0, len(latencies_ns), len(self._buffer)):
-            part = latencies_ns[start : start + len(self._buffer)]
-            if self._used + len(part) > len(self._buffer):
-                self.fold()
-            self._buffer[self._used : self._used + len(part)] = part
-            self._used += len(part)
+class Timeline:
+    """When samples passed each stage; to be used from one thread only."""
 
-    def fold(self) -> None:
-        """Move what was gathered into the histogram."""
-        kept = np.clip(self._buffer[: self._used], 1, HIGHEST_NS)
-        shift = np.maximum(np.frexp(kept.astype(np.float64))[1] - MANTISSA_BITS, 0)
-        for value, count in zip(*np.unique(kept >> shift << shift, return_counts=True), strict=True):
-            self._histogram.record_value(int(value), int(count))
-        self._used = 0
+    def __init__(self, stages: Mapping[str, tuple[int, int]] = STAGES) -> None:
+        """`stages`: by name, the columns of passages where each begins and ends."""
+        self._stages, self._ends = tuple(stages), np.array(list(stages.values()))
+        self._histogram, self._lowest = copy(_layout()[0]), _layout()[1]
+        self._counts = np.zeros((len(stages), len(self._lowest)), np.int64)
+        self.add(np.zeros((0, 1 + self._ends.max()), np.int64))  # compiles
 
-    def summary_us(self) -> dict[str, float] | None:
-        """Percentiles [µs] of everything folded so far; None when there is nothing."""
-        if not self._histogram.get_total_count():
+    def add(self, passages: np.ndarray) -> None:
+        """Take in passages `(n, columns)` [ns]."""
+        count_latencies(passages, self._ends, self._lowest, self._counts)
+
+    def summary_us(self) -> Mapping[str, dict[str, float] | None]:
+        """Percentiles per stage [µs] of everything so far; None where there is nothing."""
+        return {stage: self._percentiles_us(c) for stage, c in zip(self._stages, self._counts, strict=True)}
+
+    def _percentiles_us(self, counts: np.ndarray) -> dict[str, float] | None:
+        reached = np.cumsum(counts)
+        self._histogram.total_count = int(reached[-1])
+        if not reached[-1]:
             return None
-        reached = np.cumsum(self._counts)
         found = {}
         for name, percentile in PERCENTILES.items():
-            index = int(np.searchsorted(reached, self._histogram.get_target_count_at_percentile(percentile)))
-            value = self._histogram.get_value_from_index(index)
+            wanted = self._histogram.get_target_count_at_percentile(percentile)
+            value = self._histogram.get_value_from_index(int(np.searchsorted(reached, wanted)))
             found[name] = self._histogram.get_highest_equivalent_value(value) / 1000.0
         return found
 
 
-class Passage(NamedTuple):
-    """When the samples of one batch, `(n,)`, passed: their frames, taken, corrected [ns]; they went out between two."""
-
-    t_ns: np.ndarray
-    t_received_ns: np.ndarray
-    t_corrected_ns: np.ndarray
-    t_put_ns: int
-    t_out_ns: int
-
-
-class Timeline:
-    """When samples passed each stage [ns]; to be used from one thread only."""
-
-    def __init__(self) -> None:
-        self.stages = {name: Stage() for name in STAGES}
-        self._noted: list[Passage] = []
-        self._next = 0
-
-    def note(self, passage: Passage) -> None:
-        """One batch went out; its arrays are not copied, they have to stay as they are until `spread`."""
-        self._noted.append(passage)
-
-    def spread(self) -> None:
-        """Give the stages what was noted."""
-        if not self._noted:
-            return
-        frames, takens, correcteds, puts, outs = zip(*self._noted, strict=True)
-        frame, taken, corrected = np.concatenate(frames), np.concatenate(takens), np.concatenate(correcteds)
-        sizes = [len(t_ns) for t_ns in frames]
-        self.stages["receive"].add(taken - frame)
-        self.stages["correct"].add(corrected - taken)
-        self.stages["publish"].add(np.repeat(outs, sizes) - corrected)
-        self.stages["total"].add(np.repeat(puts, sizes) - frame)
-        self._noted.clear()
-
-    def turn(self) -> None:
-        """Fold one stage, the next in turn, so that no sample waits for all of them."""
-        self.stages[STAGES[self._next]].fold()
-        self._next = (self._next + 1) % len(STAGES)
-
-    def fold(self) -> None:
-        """Fold everything."""
-        self.spread()
-        for stage in self.stages.values():
-            stage.fold()
-
-    def summary_us(self) -> Mapping[str, dict[str, float] | None]:
-        """Percentiles per stage [µs] of everything folded so far."""
-        return {name: stage.summary_us() for name, stage in self.stages.items()}
+@kernel
+def count_latencies(passages, ends, lowest, counts):
+    """Add every passage to the counter of each stage whose lowest value is the last not beyond the latency [ns]."""
+    for row in range(passages.shape[0]):
+        for stage in range(ends.shape[0]):
+            latency = passages[row, ends[stage, 1]] - passages[row, ends[stage, 0]]
+            low, high = 0, lowest.shape[0]
+            while high - low > 1:
+                middle = (low + high) // 2
+                if lowest[middle] <= latency:
+                    low = middle
+                else:
+                    high = middle
+            counts[stage, low] += 1

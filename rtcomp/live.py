@@ -47,7 +47,7 @@ class LiveLoop:
             (space.words, space.address, space.frame_words, space.frames, frame_words(space.frames)),
             (pipeline.map.plan, pipeline.compiled, pipeline.state, pipeline.loop, self._rows),
             (self._out, self._out_words),
-            (ring.words, ring.address, ring.sample_words, ring.channel, ring.times),
+            (ring.words, ring.address, ring.sample_words, ring.channel, ring.passages),
             timeout_ms,
             self.each_batch,
         )
@@ -78,7 +78,7 @@ def correct_rows(space, correction, out, ring, rows):
     words, address, _, frames, words_of_frames = space
     plan, compiled, state, loop, waiting = correction
     samples, sample_words = out
-    ring_words, ring_address, to_words, to_channel, to_times = ring
+    ring_words, ring_address, to_words, to_channel, passages = ring
     received, done = words[LAST_BATCH], 0
     while done < rows:
         done, count = run_loop(
@@ -86,6 +86,6 @@ def correct_rows(space, correction, out, ring, rows):
         )
         if count > 0:
             corrected = monotonic_ns(words, address) + words[OFFSET]
-            if not push(ring_words, ring_address, to_words, to_channel, to_times,
+            if not push(ring_words, ring_address, to_words, to_channel, passages,
                         sample_words, samples.channel, count, received, corrected):  # fmt: skip
                 ring_words[LOST] += count

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from rtcomp.frames import CORRECTED
-from rtcomp.latency import PERCENTILES, Stage
+from rtcomp.latency import PERCENTILES, Timeline
 from rtcomp.sources.clock import SteadyClock
 from rtcomp.zenoh_session import open_session
 
@@ -47,8 +47,8 @@ class Stream:
 
     def __init__(self, clock: SteadyClock) -> None:
         self.received = self.missed = 0
-        self._clock, self._stage = clock, Stage()
-        self._latencies: list[int] = []
+        self._clock, self._timeline = clock, Timeline({LEAF: (0, 1)})
+        self._passages: list[tuple[int, int]] = []  # time stamp and arrival [ns]
         self._next: int | None = None
 
     def take(self, message: Any) -> None:
@@ -62,14 +62,13 @@ class Stream:
             self.missed += seq - self._next
         self._next = seq + 1
         self.received += 1
-        self._latencies.append(now_ns - t_ns)
+        self._passages.append((t_ns, now_ns))
 
     def report(self) -> Told | None:
         """So far; None before the first sample."""
-        latencies, self._latencies = self._latencies, []
-        self._stage.add(np.array(latencies, np.int64))
-        self._stage.fold()
-        percentiles = self._stage.summary_us()
+        passages, self._passages = self._passages, []
+        self._timeline.add(np.array(passages, np.int64).reshape(-1, 2))
+        percentiles = self._timeline.summary_us()[LEAF]
         return Told(self.received, self.missed, percentiles) if percentiles else None
 
 

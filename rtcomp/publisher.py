@@ -13,15 +13,16 @@ import numpy as np
 from rtcomp.batches import Batches
 from rtcomp.encodings import ENCODERS, MIME
 from rtcomp.frames import c_declaration, schema
-from rtcomp.latency import STAGES, Passage, Timeline
+from rtcomp.latency import Timeline
 from rtcomp.probe import LEAF, read_told
 from rtcomp.sample_queue import Batch, BatchQueue, SampleQueue
+from rtcomp.sources.clock import SteadyClock
 
 log = logging.getLogger(__name__)
 
 HEALTH_S = 1.0
 MOST_UNSETTLED = 8192  # samples that keep their room in the queue after they went out
-TURN_S = 0.25 / len(STAGES)  # between two turns at the latencies
+SETTLE_S = 0.0625  # between two looks at the latencies
 
 
 class Publisher:
@@ -35,7 +36,7 @@ class Publisher:
         session: Any,
         prefix: str,
         names: tuple[str, ...],
-        clock_ns: Callable[[], int],
+        clock: SteadyClock,
         *,
         encoding: str = "struct",
         lossless: bool = False,
@@ -55,12 +56,12 @@ class Publisher:
         self.timeline = Timeline()
         self.models: dict[str, Any] = dict.fromkeys(names)
         self.health: Callable[[str], dict[str, Any]] = lambda name: {}
-        self._clock_ns, self._lossless = clock_ns, lossless
+        self._clock, self._lossless = clock, lossless
         self._encoding, self._encode, mime = encoding, ENCODERS[encoding], MIME[encoding]
-        self.queue: SampleQueue = queue or BatchQueue()
+        self.queue: SampleQueue = queue or BatchQueue(clock)
         self._lost = self._unsettled = 0
         control = zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP
-        self._rates = [
+        self._rates = rates = [
             session.declare_publisher(
                 (aliases or {}).get(name, self.key(name, "rate")),
                 encoding=zenoh.Encoding(mime),
@@ -69,6 +70,7 @@ class Publisher:
             )
             for name in names
         ]
+        self._puts = [rate.put for rate in rates]
         self._batches = Batches(
             [
                 session.declare_publisher(
@@ -123,7 +125,7 @@ class Publisher:
 
     def offer(self, corrected: np.ndarray, channel: np.ndarray, t_received_ns: int) -> None:
         """Queue samples (copied). When the queue is full they are lost and counted; a lossless one waits instead."""
-        t_corrected_ns = self._clock_ns()
+        t_corrected_ns = self._clock.now_ns()
         while not self.queue.put(corrected, channel, t_received_ns, t_corrected_ns):
             if not self._lossless or not self._thread.is_alive():
                 self._lost += len(corrected)
@@ -147,46 +149,36 @@ class Publisher:
             declared.undeclare()
 
     def _run(self) -> None:
-        batch_due, turn_due, due = 0.0, time.monotonic() + TURN_S, time.monotonic() + HEALTH_S
-        while (
-            batch := self.queue.take(max(0.0, min(due, batch_due, turn_due) - time.monotonic()))
-        ) is not None:
+        """As little as can be between a sample and the next; the rest is done when it is due."""
+        take, due, health_due, settle_due = self.queue.take, 0.0, time.monotonic() + HEALTH_S, 0.0
+        while (batch := take(due - time.monotonic())) is not None:
             if len(batch.corrected):
                 self._publish(batch)
-            else:
-                self._settle()
-            batch_due = self._batches.flush(now := time.monotonic())
-            if now >= due:
+            if (now := time.monotonic()) < due:
+                continue
+            if now >= health_due:
                 self._publish_health()
-                due = time.monotonic() + HEALTH_S
-            elif now >= turn_due:
+                health_due = time.monotonic() + HEALTH_S
+            elif now >= settle_due:
                 self._settle()
-                self.timeline.turn()
-                turn_due = now + TURN_S
+                settle_due = now + SETTLE_S
+            due = min(health_due, settle_due, self._batches.flush(now))
 
     def _publish(self, batch: Batch) -> None:
         """What is not needed for the samples to go out comes after they have."""
-        for index, name in enumerate(self.names):
-            mine, received, corrected = batch.corrected, batch.t_received_ns, batch.t_corrected_ns
-            if len(self.names) > 1:
-                rows = batch.channel == index
-                mine, received, corrected = mine[rows], received[rows], corrected[rows]
-            if len(mine):
-                mine["t_pub_ns"] = t_pub_ns = self._clock_ns()
-                put = self._rates[index].put
-                for payload in self._encode(mine, name):
-                    put(payload)
-                self.timeline.note(Passage(mine["t_ns"], received, corrected, t_pub_ns, self._clock_ns()))
-                self._batches.add(index, mine)
-        self.published += len(batch.corrected)
-        self._unsettled += len(batch.corrected)
+        corrected, channel = batch
+        payloads = self._encode(corrected, channel, self.names)
+        for index, payload in zip(channel.tolist(), payloads, strict=True):
+            self._puts[index](payload)
+        self._batches.add(corrected, channel)
+        self.published += len(corrected)
+        self._unsettled += len(corrected)
         if self._unsettled > MOST_UNSETTLED:
             self._settle()
 
     def _settle(self) -> None:
         """Look at the times of what went out, and give its room back."""
-        self.timeline.spread()
-        self.queue.done(self._unsettled)
+        self.timeline.add(self.queue.passed())
         self._unsettled = 0
 
     def _publish_health(self) -> None:
@@ -194,12 +186,7 @@ class Publisher:
             publisher.put(json.dumps(self.health(name)), encoding="application/json")
 
     def latency_us(self) -> dict[str, dict[str, float] | None]:
-        """Percentiles per stage [µs], while it publishes those of a quarter of a second ago.
-
-        Call it in the publisher's thread or when that has ended.
-        """
-        if not self._thread.is_alive():
-            self.timeline.fold()
+        """Percentiles per stage [µs] of what was settled; call it in the publisher's thread or when that has ended."""
         return {**self.timeline.summary_us(), **({LEAF: self._received} if self._received else {})}
 
 

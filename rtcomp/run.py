@@ -152,10 +152,10 @@ class Runner:
     def _queue(self) -> SampleQueue:
         """What samples wait in: on SocketCAN a ring that compiled code fills."""
         if self.config.bus is None or not is_socketcan(self.config.bus):
-            return BatchQueue()
+            return BatchQueue(self.clock)
         from rtcomp.live import LiveLoop
 
-        ring = SampleRing()
+        ring = SampleRing(clock=self.clock)
         self._resources.callback(ring.close)
         self._live = LiveLoop(self.pipeline, ring, each_batch=self.recorder is not None)
         return ring
@@ -165,7 +165,7 @@ class Runner:
             session,
             self.config.prefix,
             self.map.channel_names,
-            self.clock.now_ns,
+            self.clock,
             encoding=self.config.encoding,
             lossless=self.config.log is not None,
             aliases=self.config.keys,

@@ -2,36 +2,39 @@
 
 Two of a kind: `BatchQueue` for samples that come out of Python, on any system, and `SampleRing`, which compiled code
 fills without the GIL and whose reader sleeps on an eventfd. The eventfd counts the samples, so no counter is shared
-that the two threads could see in another order than the samples themselves.
+that the two threads could see in another order than the samples themselves. The queue knows when each sample passed:
+taking fills in the publication time, and whoever comes back for more has put what was taken before.
 """
 
 import os
+import time
 from queue import Empty, SimpleQueue
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from rtcomp import latency
 from rtcomp.frames import CORRECTED
 from rtcomp.jit import kernel
-from rtcomp.sources.libc import poll, read, write
+from rtcomp.sources.clock import SteadyClock
+from rtcomp.sources.libc import CLOCK_MONOTONIC, clock_gettime, poll, read, write
 
 ROOM = 1 << 16  # samples that may wait to be published
 WORDS = CORRECTED.itemsize // 4
-POLLIN, EVENT_BYTES, LOW = 0x1, 8, 0xFFFFFFFF
+T_PUB = CORRECTED.names.index("t_pub_ns") * 2  # the word of a sample where its publication time begins
+POLLIN, EVENT_BYTES, LOW, NANO = 0x1, 8, 0xFFFFFFFF, 1_000_000_000
 ENDED = 1 << 40  # what the eventfd counts for the end, far beyond any number of samples
-(HEAD, TAIL, LOST, WAIT, SENT, SEEN) = range(6)  # words of a ring
+(HEAD, TAIL, LOST, WAIT, SENT, SEEN, SECONDS, NANOS) = range(8)  # words of a ring
 
 
 class Batch(NamedTuple):
-    """Samples on their way out, and when their frames were taken and corrected [ns], each of shape `(n,)`."""
+    """Samples on their way out, and their channels, each of shape `(n,)`."""
 
     corrected: np.ndarray
     channel: np.ndarray
-    t_received_ns: np.ndarray
-    t_corrected_ns: np.ndarray
 
 
-NOTHING = Batch(np.zeros(0, CORRECTED), np.zeros(0, np.uint8), np.zeros(0, np.int64), np.zeros(0, np.int64))
+NOTHING = Batch(np.zeros(0, CORRECTED), np.zeros(0, np.uint8))
 
 
 class SampleQueue(Protocol):
@@ -55,12 +58,13 @@ class SampleQueue(Protocol):
     def take(self, timeout_s: float) -> Batch | None:
         """What has come, waiting at most `timeout_s` for it; `NOTHING` then, None after the end.
 
-        The arrays may be changed, and are good until `done`; more may be taken before.
+        Their `t_pub_ns` is filled in, and what was taken before counts as put from now on. The arrays are good until
+        `passed`; more may be taken before.
         """
         ...
 
-    def done(self, count: int) -> None:
-        """The oldest `count` of the samples taken need no room any more."""
+    def passed(self) -> np.ndarray:
+        """When all that was taken since the last call passed (see `rtcomp.latency`), `(n, 5)` ns; its room is free."""
         ...
 
     def close(self) -> None:
@@ -71,10 +75,13 @@ class SampleQueue(Protocol):
 class BatchQueue:
     """Arrays of samples through a queue of the standard library."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: SteadyClock | None = None) -> None:
         self.lost = 0  # it drops nothing by itself
-        self._queue: SimpleQueue[Batch | None] = SimpleQueue()
+        self._clock = clock or SteadyClock()
+        self._queue: SimpleQueue[tuple[Batch, np.ndarray] | None] = SimpleQueue()
         self._put = self._done = 0
+        self._taken: list[np.ndarray] = []
+        self._going: np.ndarray | None = None
 
     def put(
         self, corrected: np.ndarray, channel: np.ndarray, t_received_ns: int, t_corrected_ns: int
@@ -84,8 +91,10 @@ class BatchQueue:
         if self._put - self._done + count > ROOM:
             return False
         self._put += count
-        times = (np.full(count, t_ns, np.int64) for t_ns in (t_received_ns, t_corrected_ns))
-        self._queue.put(Batch(corrected.copy(), channel.copy(), *times))
+        passages = np.empty((count, 5), np.int64)
+        passages[:, latency.FRAME] = corrected["t_ns"]
+        passages[:, latency.TAKEN], passages[:, latency.DONE] = t_received_ns, t_corrected_ns
+        self._queue.put((Batch(corrected.copy(), channel.copy()), passages))
         return True
 
     def end(self) -> None:
@@ -94,14 +103,31 @@ class BatchQueue:
 
     def take(self, timeout_s: float) -> Batch | None:
         """See `SampleQueue`."""
+        self._gone()
         try:
-            return self._queue.get(timeout=timeout_s)
+            came = self._queue.get(timeout=max(timeout_s, 0.0))
         except Empty:
             return NOTHING
+        if came is None:
+            return None
+        batch, passages = came
+        batch.corrected["t_pub_ns"] = passages[:, latency.PUT] = self._clock.now_ns()
+        self._going = passages
+        self._taken.append(passages)
+        return batch
 
-    def done(self, count: int) -> None:
+    def _gone(self) -> None:
+        if self._going is not None:
+            self._going[:, latency.OUT] = self._clock.now_ns()
+            self._going = None
+
+    def passed(self) -> np.ndarray:
         """See `SampleQueue`."""
-        self._done += count
+        self._gone()
+        passages = np.concatenate(self._taken) if self._taken else np.zeros((0, 5), np.int64)
+        self._taken.clear()
+        self._done += len(passages)
+        return passages
 
     def close(self) -> None:
         """See `SampleQueue`."""
@@ -110,17 +136,18 @@ class BatchQueue:
 class SampleRing:
     """Samples in a ring that `push` fills from compiled code; Linux only."""
 
-    def __init__(self, room: int = ROOM) -> None:
+    def __init__(self, room: int = ROOM, clock: SteadyClock | None = None) -> None:
         self.room = room
         self.samples = np.zeros(room, CORRECTED)
         self.sample_words = self.samples.view(np.uint32).reshape(room, WORDS)
         self.channel = np.zeros(room, np.uint8)
-        self.times = np.zeros((room, 2), np.int64)  # taken, corrected
-        self.words = np.zeros(6, np.int64)
+        self.passages = np.zeros((room, 5), np.int64)
+        self.words = np.zeros(8, np.int64)
         self.address = self.words.ctypes.data
+        self._offset_ns = (clock or SteadyClock()).offset_ns
         self._descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.words[WAIT] = self._descriptor | POLLIN << 32
-        self._waiting = self._taken = 0
+        self._waiting = self._taken = self._out = 0
         self._ended = False
 
     @property
@@ -134,7 +161,7 @@ class SampleRing:
         """See `SampleQueue`."""
         words = np.ascontiguousarray(corrected).view(np.uint32).reshape(-1, WORDS)
         times = np.int64(t_received_ns), np.int64(t_corrected_ns)
-        return bool(push(self.words, self.address, self.sample_words, self.channel, self.times,
+        return bool(push(self.words, self.address, self.sample_words, self.channel, self.passages,
                          words, channel, np.int64(len(corrected)), *times))  # fmt: skip
 
     def end(self) -> None:
@@ -146,22 +173,28 @@ class SampleRing:
         if not self._waiting:
             if self._ended:
                 return None
-            came = int(
-                wait(self.words, self.address, 0 if self._ended else max(0, int(timeout_s * 1000 + 0.5)))
-            )
+            timeout_ms = 0 if self._ended or timeout_s <= 0.0 else int(timeout_s * 1000.0 + 0.5)
+            came = wait(self.words, self.address, self.sample_words, self.passages, self._offset_ns,
+                        self._out, self._taken, timeout_ms)  # fmt: skip
+            self._out = self._taken
             self._ended = came >= ENDED
             self._waiting = came % ENDED
             if not self._waiting:
                 return None if self._ended else NOTHING
         first = self._taken % self.room
-        part = slice(first, first + min(self._waiting, self.room - first))
-        self._waiting -= part.stop - first
-        self._taken += part.stop - first
-        return Batch(self.samples[part], self.channel[part], *self.times[part].T)
+        last = min(first + self._waiting, self.room)
+        self._waiting -= last - first
+        self._taken += last - first
+        return Batch(self.samples[first:last], self.channel[first:last])
 
-    def done(self, count: int) -> None:
+    def passed(self) -> np.ndarray:
         """See `SampleQueue`."""
-        self.words[TAIL] += count
+        tail = int(self.words[TAIL])
+        passages = self.passages[np.arange(tail, self._taken) % self.room]
+        passages[self._out - tail :, latency.OUT] = time.monotonic_ns() + self._offset_ns
+        self._out = self._taken
+        self.words[TAIL] = self._taken
+        return passages
 
     def close(self) -> None:
         """See `SampleQueue`."""
@@ -171,7 +204,7 @@ class SampleRing:
 
 
 @kernel
-def push(ring, address, to_words, to_channel, to_times, words, channel, count, t_received, t_corrected):
+def push(ring, address, to_words, to_channel, passages, words, channel, count, t_received, t_corrected):
     """Copy `count` samples into a ring and wake its reader; False when there is no room for them."""
     room, head = to_words.shape[0], ring[HEAD]
     if head - ring[TAIL] + count > room:
@@ -181,19 +214,39 @@ def push(ring, address, to_words, to_channel, to_times, words, channel, count, t
         for j in range(WORDS):
             to_words[row, j] = words[k, j]
         to_channel[row] = channel[k]
-        to_times[row, 0] = t_received
-        to_times[row, 1] = t_corrected
+        passages[row, latency.FRAME] = np.int64(words[k, 0]) | np.int64(words[k, 1]) << 32
+        passages[row, latency.TAKEN] = t_received
+        passages[row, latency.DONE] = t_corrected
     ring[HEAD] = head + count
     ring[SENT] = count
     return write(ring[WAIT] & LOW, address + 8 * SENT, EVENT_BYTES) == EVENT_BYTES
 
 
 @kernel
-def wait(ring, address, timeout_ms):
-    """Sleep until something comes, at most `timeout_ms`; how many samples, and `ENDED` more after the end."""
+def wait(ring, address, to_words, passages, offset_ns, out, taken, timeout_ms):
+    """Sleep until something comes, at most `timeout_ms`; how many samples, and `ENDED` more after the end.
+
+    Before, the samples from `out` up to `taken` are noted as put; after, those that came as about to be put.
+    """
+    room = to_words.shape[0]
+    if out < taken:
+        now = _now(ring, address) + offset_ns
+        for k in range(out, taken):
+            passages[k % room, latency.OUT] = now
     ring[WAIT] &= LOW | POLLIN << 32
     if poll(address + 8 * WAIT, 1, timeout_ms) <= 0:
         return 0
     if read(ring[WAIT] & LOW, address + 8 * SEEN, EVENT_BYTES) != EVENT_BYTES:
         return 0
+    now = _now(ring, address) + offset_ns
+    for k in range(taken, taken + ring[SEEN] % ENDED):
+        passages[k % room, latency.PUT] = now
+        to_words[k % room, T_PUB] = now & LOW
+        to_words[k % room, T_PUB + 1] = now >> 32
     return ring[SEEN]
+
+
+@kernel
+def _now(ring, address):
+    clock_gettime(CLOCK_MONOTONIC, address + 8 * SECONDS)
+    return ring[SECONDS] * NANO + ring[NANOS]

@@ -9,9 +9,11 @@ import pytest
 
 from rtcomp import sample_queue
 from rtcomp.frames import CORRECTED, FrameFlag
+from rtcomp.latency import DONE, FRAME, OUT, PUT, TAKEN
 from rtcomp.live import LiveLoop
 from rtcomp.pipeline import Pipeline
 from rtcomp.sample_queue import NOTHING, BatchQueue, SampleRing
+from rtcomp.sources.clock import SteadyClock
 from rtcomp.sources.socketcan import SocketReceiver, configure_socket
 from rtcomp.sources.transmit import replay
 
@@ -29,7 +31,7 @@ def pair():
 
 def samples(count, first=0):
     made = np.zeros(count, CORRECTED)
-    made["seq"] = first + np.arange(count)
+    made["seq"] = made["t_ns"] = first + np.arange(count)
     made["rate_dps"] = np.arange(count) * 0.5
     return made
 
@@ -55,10 +57,8 @@ def test_queue_gives_what_was_put_in_order(queue):
             if not len(batch.corrected):
                 break
             assert batch.channel.tolist() == [3] * len(batch.corrected)
-            assert set(batch.t_received_ns) == {100}
-            assert set(batch.t_corrected_ns) == {200}
             seen += batch.corrected["seq"].tolist()
-            queue.done(len(batch.corrected))
+            queue.passed()
     assert seen == list(range(40))
 
 
@@ -70,7 +70,7 @@ def test_queue_gives_the_next_before_the_last_is_done_with(queue):
             seen += batch.corrected["seq"].tolist()
             undone += len(batch.corrected)
         if undone > 4:
-            queue.done(undone)
+            assert len(queue.passed()) == undone
             undone = 0
     assert seen == list(range(40))
 
@@ -79,10 +79,29 @@ def test_queue_without_room_takes_nothing_until_there_is(queue):
     assert put(queue, 8)
     assert not put(queue, 3, 8)
     assert put(queue, 2, 8)
-    batch = queue.take(0.0)
+    queue.take(0.0)
     assert not put(queue, 1, 10)  # taken is not done with
-    queue.done(len(batch.corrected))
+    queue.passed()
     assert put(queue, 1, 10)
+
+
+def test_queue_knows_when_each_sample_passed(queue):
+    clock, rows = SteadyClock(), []
+    for first in (0, 6, 12):  # the third goes round the end of the ring
+        before = clock.now_ns()
+        put(queue, 3, first)
+        put(queue, 3, first + 3)
+        seen = [batch for _ in range(4) if len((batch := queue.take(0.0)).corrected)]
+        published = np.concatenate([batch.corrected["t_pub_ns"] for batch in seen])
+        rows = queue.passed()
+        assert rows[:, FRAME].tolist() == [first + k for k in range(3)] + [first + 3 + k for k in range(3)]
+        assert set(rows[:, TAKEN]) == {100}
+        assert set(rows[:, DONE]) == {200}
+        assert published.tolist() == rows[:, PUT].tolist()
+        assert before <= rows[0, PUT] <= rows[0, OUT] <= clock.now_ns()
+        assert (np.diff(rows[:, PUT]) >= 0).all()
+        assert (rows[:, OUT] >= rows[:, PUT]).all()
+    assert len(queue.passed()) == 0
 
 
 def test_queue_waits_for_what_comes_and_no_longer(queue):
@@ -104,7 +123,7 @@ def drain(ring):
     parts = []
     while (batch := ring.take(0.0)) is not None and len(batch.corrected):
         parts.append(batch.corrected.copy())
-        ring.done(len(batch.corrected))
+        ring.passed()
     return np.concatenate(parts) if parts else np.zeros(0, CORRECTED)
 
 
@@ -129,6 +148,8 @@ def test_live_loop_gives_the_bits_of_the_pipeline(pair, fog_map, lag_model, fog_
     assert live.last_t_ns == receiver.last_t_ns
     if each_batch:  # then every frame comes back too, and gives the same bits offline
         offline = Pipeline(fog_map, {"yaw": [lag_model]}).process_all(np.concatenate(kept)).corrected
+        assert (online["t_pub_ns"] >= online["t_ns"]).all()
+        online["t_pub_ns"] = 0
         assert offline.tobytes() == online.tobytes()
 
 

@@ -17,6 +17,7 @@ from rtcomp.errors import RequestError, WorkError
 from rtcomp.frames import CORRECTED, Flag
 from rtcomp.model import load_model, model_document
 from rtcomp.publisher import Publisher
+from rtcomp.sources.clock import SteadyClock
 from rtcomp.view.live import Viewer
 from rtcomp.view.rerun_sdk import quiet_environment
 from rtcomp.view.run import ViewConfig, run_view
@@ -45,7 +46,7 @@ class Stream:
     names = ("x", "y", "z")
 
     def __init__(self, session) -> None:
-        self.publisher = Publisher(session, "t", self.names, time.time_ns, lossless=True)
+        self.publisher = Publisher(session, "t", self.names, SteadyClock(), lossless=True)
         self.publisher.models = {"x": model_document(load_model(MODEL)), "y": None, "z": None}
         self.publisher.health = lambda name: {"losses": {"receiver": 2, "queue": 1}, "rejected": {"crc": 4}}
         self.publisher.start()
@@ -189,7 +190,7 @@ def test_whatever_the_rates_are_encoded_as_the_viewer_gets_every_value(session, 
         viewer.start()
         aliases = {"x": "0/imu/sensor_msgs::msg::dds_::Imu_/hash"}
         publisher = Publisher(
-            session, "t", ("x",), time.time_ns, encoding=encoding, lossless=True, aliases=aliases
+            session, "t", ("x",), SteadyClock(), encoding=encoding, lossless=True, aliases=aliases
         )
         assert publisher.wait_for_subscribers(5.0)
         publisher.start()

@@ -287,12 +287,14 @@ def warm_up() -> None:
     """Compile everything that the bench needs, without a bus."""
     import socket
 
+    from rtcomp.latency import Timeline
     from rtcomp.plan import compile_map
     from rtcomp.run import warm_up as warm_up_loop
     from rtcomp.run import warm_up_live
     from rtcomp.signal_map import load_map
     from rtcomp.sources.transmit import replay
 
+    Timeline()
     for load in LOADS:
         make_frames(load, 0.1)
         compiled = compile_map(load_map(load.map))

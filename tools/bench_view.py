@@ -28,7 +28,8 @@ from typing import Any
 import click
 import numpy as np
 
-from rtcomp.latency import Passage, Timeline
+from rtcomp import latency
+from rtcomp.sources.clock import SteadyClock
 from rtcomp.view.sinks import LOOPBACK, free_port
 
 RATE_HZ = 1000
@@ -38,18 +39,21 @@ LATENCIES = "latencies.npy"
 ROWS = 4_000_000  # latencies that are kept: 20 minutes of three channels
 
 
-class Kept(Timeline):
-    """A timeline that also keeps every latency with the monotonic time of its publication, shape `(used, 2)` [ns]."""
+class Kept(latency.Timeline):
+    """A timeline that also keeps every latency with the monotonic time when it was put, shape `(used, 2)` [ns]."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, clock: SteadyClock) -> None:
+        self._offset_ns = clock.offset_ns
         self.rows, self.used = np.zeros((ROWS, 2), np.int64), 0
+        super().__init__()
 
-    def note(self, passage: Passage) -> None:
-        """One batch went out."""
-        super().note(passage)
-        stretch = self.rows[self.used : self.used + len(passage.t_ns)]
-        stretch[:, 0], stretch[:, 1] = time.monotonic_ns(), passage.t_put_ns - passage.t_ns[: len(stretch)]
+    def add(self, passages: np.ndarray) -> None:
+        """Take in passages `(n, 5)` [ns]."""
+        super().add(passages)
+        stretch = self.rows[self.used : self.used + len(passages)]
+        kept = passages[: len(stretch)]
+        stretch[:, 0] = kept[:, latency.OUT] - self._offset_ns
+        stretch[:, 1] = kept[:, latency.PUT] - kept[:, latency.FRAME]
         self.used += len(stretch)
 
 
@@ -70,17 +74,17 @@ def compensate(folder: Path) -> None:
     pipeline = Pipeline(plan, {name: [model] for name in plan.channel_names})
     frames = np.zeros(2, FRAME)
     with open_session(folder / "peer.json5") as session:
-        publisher = Publisher(session, "rtcomp", plan.channel_names, time.time_ns)
+        publisher = Publisher(session, "rtcomp", plan.channel_names, clock := SteadyClock())
         publisher.models = {name: model_document(model) for name in plan.channel_names}
         publisher.health = lambda name: {"stages_us": publisher.latency_us()}
-        publisher.timeline = kept = Kept()
+        publisher.timeline = kept = Kept(clock)
         publisher.start()
         print("ready", flush=True)
         total, started = 0, time.monotonic()
         while total % 100 or not select.select([sys.stdin], [], [], 0.0)[0]:
             due = started + total / RATE_HZ
             time.sleep(max(due - time.monotonic(), 0.0))
-            t_ns = time.time_ns()
+            t_ns = clock.now_ns()
             frames[0], frames[1] = temperature, rates[total % len(rates)]
             frames["t_ns"] = t_ns
             wanted = frames if total % 100 == 0 else frames[1:]

@@ -35,7 +35,7 @@ PASSED_ON = ("NUMBA_", "PYTEST_", "RTCOMP_", "PYTHONPATH", "HYPOTHESIS_")
 TIMED_OUT = 124  # as timeout(1) has it
 WARM_UP = (
     "python -m pytest -q -p no:cacheprovider tests/test_socketcan.py tests/test_replay.py tests/test_live.py "
-    "tests/test_gk.py tests/test_rls.py"
+    "tests/test_latency.py tests/test_gk.py tests/test_rls.py"
 )
 # The emulated processor's own clock, which the kernel would not trust by itself; to read the HPET takes 7 µs there.
 EMULATED = ("--disable-kvm", "--append", "tsc=reliable clocksource=tsc")
