@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from rtcomp.frames import CORRECTED
+
 INTERVAL_S = 0.1
 LARGEST = 1 << 19  # bytes at which a batch goes early (a log is replayed faster than it was recorded)
 
@@ -33,13 +35,14 @@ class Batches:
         self._anybody = any(self._watched)
         return self._watched
 
-    def add(self, samples: np.ndarray, channel: np.ndarray) -> None:
-        """Take in CORRECTED samples and their channels, `(n,)` each."""
+    def add(self, content: bytes, channel: bytes) -> None:
+        """Take in packed samples and the channel of each."""
         if not self._anybody:
             return
+        samples, channels = np.frombuffer(content, CORRECTED), np.frombuffer(channel, np.uint8)
         for index, watched in enumerate(self._watched):
             if watched:
-                self._gathered[index] += samples[channel == index].tobytes()
+                self._gathered[index] += samples[channels == index].tobytes()
                 if len(self._gathered[index]) >= LARGEST:
                     self._send(index)
 

@@ -12,21 +12,20 @@ RAD = math.pi / 180.0
 AXES = {"roll": 0, "pitch": 1, "yaw": 2}
 UNKNOWN = -1.0  # sensor_msgs/msg/Imu: covariance[0] of a quantity that is not measured
 
-Encoder = Callable[[np.ndarray, np.ndarray, Sequence[str]], Iterable[bytes]]
-"""CORRECTED samples and their channels, `(n,)` each, and the channels' names; a payload per sample, in order."""
 SIZE = CORRECTED.itemsize
+Encoder = Callable[[bytes, bytes, Sequence[str]], Iterable[bytes]]
+"""Packed samples, the channel of each, and the channels' names; a payload per sample, in order."""
 
 
-def struct_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterable[bytes]:
+def struct_payloads(content: bytes, channel: bytes, names: Sequence[str]) -> Iterable[bytes]:
     """The samples as they are: `CORRECTED`, packed, little-endian."""
-    content = samples.tobytes()
     return [content[start : start + SIZE] for start in range(0, len(content), SIZE)]
 
 
-def json_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterator[bytes]:
+def json_payloads(content: bytes, channel: bytes, names: Sequence[str]) -> Iterator[bytes]:
     """One JSON object a sample: the struct's fields by name (null for what is not a number) and flags by name."""
     fields = CORRECTED.names or ()
-    for row in samples.tolist():
+    for row in np.frombuffer(content, CORRECTED).tolist():
         values = dict(zip(fields, row, strict=True))
         document = {
             k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()
@@ -56,12 +55,13 @@ def imu_dtype(frame_id: str) -> np.dtype:
     )
 
 
-def cdr_payloads(samples: np.ndarray, channel: np.ndarray, names: Sequence[str]) -> Iterable[bytes]:
+def cdr_payloads(content: bytes, channel: bytes, names: Sequence[str]) -> Iterable[bytes]:
     """sensor_msgs/msg/Imu [rad/s]: the rate on the channel's axis (yaw where its name says nothing)."""
+    samples, channels = np.frombuffer(content, CORRECTED), np.frombuffer(channel, np.uint8)
     payloads = [b""] * len(samples)
-    for index in np.unique(channel):
-        rows = np.flatnonzero(channel == index)
-        for row, payload in zip(rows, _imu_payloads(samples[rows], names[int(index)]), strict=True):
+    for index in set(channel):
+        rows = np.flatnonzero(channels == index)
+        for row, payload in zip(rows, _imu_payloads(samples[rows], names[index]), strict=True):
             payloads[row] = payload
     return payloads
 

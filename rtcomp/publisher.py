@@ -152,7 +152,7 @@ class Publisher:
         """As little as can be between a sample and the next; the rest is done when it is due."""
         take, due, health_due, settle_due = self.queue.take, 0.0, time.monotonic() + HEALTH_S, 0.0
         while (batch := take(due - time.monotonic())) is not None:
-            if len(batch.corrected):
+            if batch[1]:
                 self._publish(batch)
             if (now := time.monotonic()) < due:
                 continue
@@ -166,13 +166,12 @@ class Publisher:
 
     def _publish(self, batch: Batch) -> None:
         """What is not needed for the samples to go out comes after they have."""
-        corrected, channel = batch
-        payloads = self._encode(corrected, channel, self.names)
-        for index, payload in zip(channel.tolist(), payloads, strict=True):
+        content, channel = batch
+        for index, payload in zip(channel, self._encode(content, channel, self.names), strict=True):
             self._puts[index](payload)
-        self._batches.add(corrected, channel)
-        self.published += len(corrected)
-        self._unsettled += len(corrected)
+        self._batches.add(content, channel)
+        self.published += len(channel)
+        self._unsettled += len(channel)
         if self._unsettled > MOST_UNSETTLED:
             self._settle()
 

@@ -4,12 +4,15 @@ Two of a kind: `BatchQueue` for samples that come out of Python, on any system, 
 fills without the GIL and whose reader sleeps on an eventfd. The eventfd counts the samples, so no counter is shared
 that the two threads could see in another order than the samples themselves. The queue knows when each sample passed:
 taking fills in the publication time, and whoever comes back for more has put what was taken before.
+
+What is taken is bytes: no array is made on the way of a sample.
 """
 
 import os
-import time
+import select
+import struct
 from queue import Empty, SimpleQueue
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -17,24 +20,20 @@ from rtcomp import latency
 from rtcomp.frames import CORRECTED
 from rtcomp.jit import kernel
 from rtcomp.sources.clock import SteadyClock
-from rtcomp.sources.libc import CLOCK_MONOTONIC, clock_gettime, poll, read, write
+from rtcomp.sources.libc import write
 
 ROOM = 1 << 16  # samples that may wait to be published
-WORDS = CORRECTED.itemsize // 4
-T_PUB = CORRECTED.names.index("t_pub_ns") * 2  # the word of a sample where its publication time begins
-POLLIN, EVENT_BYTES, LOW, NANO = 0x1, 8, 0xFFFFFFFF, 1_000_000_000
+SIZE = CORRECTED.itemsize
+WORDS = SIZE // 4
+T_PUB = 8  # where a sample's publication time is, after the eight bytes of t_ns
+EVENT_BYTES = 8
 ENDED = 1 << 40  # what the eventfd counts for the end, far beyond any number of samples
-(HEAD, TAIL, LOST, WAIT, SENT, SEEN, SECONDS, NANOS) = range(8)  # words of a ring
+(HEAD, TAIL, LOST, DESCRIPTOR, SENT) = range(5)  # words of a ring
 
-
-class Batch(NamedTuple):
-    """Samples on their way out, and their channels, each of shape `(n,)`."""
-
-    corrected: np.ndarray
-    channel: np.ndarray
-
-
-NOTHING = Batch(np.zeros(0, CORRECTED), np.zeros(0, np.uint8))
+Batch = tuple[bytes, bytes]
+"""Samples on their way out, packed one after the other, and the channel of each."""
+NOTHING: Batch = b"", b""
+_put_time = struct.Struct("<q").pack_into
 
 
 class SampleQueue(Protocol):
@@ -58,8 +57,7 @@ class SampleQueue(Protocol):
     def take(self, timeout_s: float) -> Batch | None:
         """What has come, waiting at most `timeout_s` for it; `NOTHING` then, None after the end.
 
-        Their `t_pub_ns` is filled in, and what was taken before counts as put from now on. The arrays are good until
-        `passed`; more may be taken before.
+        Their `t_pub_ns` is filled in, and what was taken before counts as put from now on.
         """
         ...
 
@@ -72,16 +70,44 @@ class SampleQueue(Protocol):
         ...
 
 
+class _Takings:
+    """How many samples were taken at once, and when those were put."""
+
+    def __init__(self, clock: SteadyClock) -> None:
+        self._now_ns = clock.now_ns
+        self._counts: list[int] = []
+        self._put_ns: list[int] = []
+        self._out_ns: list[int] = []
+
+    def taken(self, count: int) -> int:
+        """So many were taken; returns the time."""
+        self._counts.append(count)
+        self._put_ns.append(now := self._now_ns())
+        return now
+
+    def put(self) -> None:
+        """What was taken last has been put."""
+        if len(self._out_ns) < len(self._put_ns):
+            self._out_ns.append(self._now_ns())
+
+    def fill(self, passages: np.ndarray) -> None:
+        """Write the times to all that was taken since the last call, `(n, 5)`."""
+        self.put()
+        passages[:, latency.PUT] = np.repeat(self._put_ns, self._counts)
+        passages[:, latency.OUT] = np.repeat(self._out_ns, self._counts)
+        for times in (self._counts, self._put_ns, self._out_ns):
+            times.clear()
+
+
 class BatchQueue:
     """Arrays of samples through a queue of the standard library."""
 
     def __init__(self, clock: SteadyClock | None = None) -> None:
         self.lost = 0  # it drops nothing by itself
-        self._clock = clock or SteadyClock()
-        self._queue: SimpleQueue[tuple[Batch, np.ndarray] | None] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[bytearray, bytes, np.ndarray] | None] = SimpleQueue()
+        self._takings = _Takings(clock or SteadyClock())
         self._put = self._done = 0
         self._taken: list[np.ndarray] = []
-        self._going: np.ndarray | None = None
 
     def put(
         self, corrected: np.ndarray, channel: np.ndarray, t_received_ns: int, t_corrected_ns: int
@@ -94,7 +120,7 @@ class BatchQueue:
         passages = np.empty((count, 5), np.int64)
         passages[:, latency.FRAME] = corrected["t_ns"]
         passages[:, latency.TAKEN], passages[:, latency.DONE] = t_received_ns, t_corrected_ns
-        self._queue.put((Batch(corrected.copy(), channel.copy()), passages))
+        self._queue.put((bytearray(corrected.tobytes()), channel.tobytes(), passages))
         return True
 
     def end(self) -> None:
@@ -103,28 +129,24 @@ class BatchQueue:
 
     def take(self, timeout_s: float) -> Batch | None:
         """See `SampleQueue`."""
-        self._gone()
+        self._takings.put()
         try:
             came = self._queue.get(timeout=max(timeout_s, 0.0))
         except Empty:
             return NOTHING
         if came is None:
             return None
-        batch, passages = came
-        batch.corrected["t_pub_ns"] = passages[:, latency.PUT] = self._clock.now_ns()
-        self._going = passages
+        content, channel, passages = came
         self._taken.append(passages)
-        return batch
-
-    def _gone(self) -> None:
-        if self._going is not None:
-            self._going[:, latency.OUT] = self._clock.now_ns()
-            self._going = None
+        now_ns = self._takings.taken(len(channel))
+        for start in range(T_PUB, len(content), SIZE):
+            _put_time(content, start, now_ns)
+        return bytes(content), channel
 
     def passed(self) -> np.ndarray:
         """See `SampleQueue`."""
-        self._gone()
         passages = np.concatenate(self._taken) if self._taken else np.zeros((0, 5), np.int64)
+        self._takings.fill(passages)
         self._taken.clear()
         self._done += len(passages)
         return passages
@@ -138,16 +160,17 @@ class SampleRing:
 
     def __init__(self, room: int = ROOM, clock: SteadyClock | None = None) -> None:
         self.room = room
-        self.samples = np.zeros(room, CORRECTED)
-        self.sample_words = self.samples.view(np.uint32).reshape(room, WORDS)
+        self.sample_words = np.zeros((room, WORDS), np.uint32)
         self.channel = np.zeros(room, np.uint8)
         self.passages = np.zeros((room, 5), np.int64)
-        self.words = np.zeros(8, np.int64)
+        self.words = np.zeros(5, np.int64)
         self.address = self.words.ctypes.data
-        self._offset_ns = (clock or SteadyClock()).offset_ns
-        self._descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self.words[WAIT] = self._descriptor | POLLIN << 32
-        self._waiting = self._taken = self._out = 0
+        self._content, self._channels = self.sample_words.data.cast("B"), self.channel.data
+        self._takings = _Takings(clock or SteadyClock())
+        self._descriptor = self.words[DESCRIPTOR] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._poll = select.poll()
+        self._poll.register(self._descriptor, select.POLLIN)
+        self._waiting = self._taken = 0
         self._ended = False
 
     @property
@@ -170,29 +193,33 @@ class SampleRing:
 
     def take(self, timeout_s: float) -> Batch | None:
         """See `SampleQueue`."""
+        self._takings.put()
         if not self._waiting:
             if self._ended:
                 return None
-            timeout_ms = 0 if self._ended or timeout_s <= 0.0 else int(timeout_s * 1000.0 + 0.5)
-            came = wait(self.words, self.address, self.sample_words, self.passages, self._offset_ns,
-                        self._out, self._taken, timeout_ms)  # fmt: skip
-            self._out = self._taken
-            self._ended = came >= ENDED
-            self._waiting = came % ENDED
-            if not self._waiting:
-                return None if self._ended else NOTHING
+            if not self._poll.poll(timeout_s * 1000.0 if timeout_s > 0.0 else 0):
+                return NOTHING
+            came = os.eventfd_read(self._descriptor)
+            if came >= ENDED:
+                self._ended = True
+                came -= ENDED
+            if not came:
+                return None
+            self._waiting = came
         first = self._taken % self.room
-        last = min(first + self._waiting, self.room)
-        self._waiting -= last - first
-        self._taken += last - first
-        return Batch(self.samples[first:last], self.channel[first:last])
+        count = min(self._waiting, self.room - first)
+        self._waiting -= count
+        self._taken += count
+        now_ns = self._takings.taken(count)
+        start, end = first * SIZE, (first + count) * SIZE
+        for time in range(start + T_PUB, end, SIZE):
+            _put_time(self._content, time, now_ns)
+        return self._content[start:end].tobytes(), self._channels[first : first + count].tobytes()
 
     def passed(self) -> np.ndarray:
         """See `SampleQueue`."""
-        tail = int(self.words[TAIL])
-        passages = self.passages[np.arange(tail, self._taken) % self.room]
-        passages[self._out - tail :, latency.OUT] = time.monotonic_ns() + self._offset_ns
-        self._out = self._taken
+        passages = self.passages[np.arange(self.words[TAIL], self._taken) % self.room]
+        self._takings.fill(passages)
         self.words[TAIL] = self._taken
         return passages
 
@@ -219,34 +246,4 @@ def push(ring, address, to_words, to_channel, passages, words, channel, count, t
         passages[row, latency.DONE] = t_corrected
     ring[HEAD] = head + count
     ring[SENT] = count
-    return write(ring[WAIT] & LOW, address + 8 * SENT, EVENT_BYTES) == EVENT_BYTES
-
-
-@kernel
-def wait(ring, address, to_words, passages, offset_ns, out, taken, timeout_ms):
-    """Sleep until something comes, at most `timeout_ms`; how many samples, and `ENDED` more after the end.
-
-    Before, the samples from `out` up to `taken` are noted as put; after, those that came as about to be put.
-    """
-    room = to_words.shape[0]
-    if out < taken:
-        now = _now(ring, address) + offset_ns
-        for k in range(out, taken):
-            passages[k % room, latency.OUT] = now
-    ring[WAIT] &= LOW | POLLIN << 32
-    if poll(address + 8 * WAIT, 1, timeout_ms) <= 0:
-        return 0
-    if read(ring[WAIT] & LOW, address + 8 * SEEN, EVENT_BYTES) != EVENT_BYTES:
-        return 0
-    now = _now(ring, address) + offset_ns
-    for k in range(taken, taken + ring[SEEN] % ENDED):
-        passages[k % room, latency.PUT] = now
-        to_words[k % room, T_PUB] = now & LOW
-        to_words[k % room, T_PUB + 1] = now >> 32
-    return ring[SEEN]
-
-
-@kernel
-def _now(ring, address):
-    clock_gettime(CLOCK_MONOTONIC, address + 8 * SECONDS)
-    return ring[SECONDS] * NANO + ring[NANOS]
+    return write(ring[DESCRIPTOR], address + 8 * SENT, EVENT_BYTES) == EVENT_BYTES

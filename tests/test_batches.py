@@ -47,7 +47,7 @@ def test_every_sample_is_in_exactly_one_batch_and_no_batch_is_longer_than_the_in
     start = time.monotonic()
     for k in range(1000):
         for index in range(2):
-            batches.add(samples(k, 1), np.full(1, index))
+            batches.add(samples(k, 1).tobytes(), bytes([index]))
         batches.flush(start + k / 1000.0)
     batches.close()
     for wire in wires:
@@ -59,12 +59,12 @@ def test_every_sample_is_in_exactly_one_batch_and_no_batch_is_longer_than_the_in
 def test_nothing_is_gathered_while_nobody_subscribes():
     wire = Wire(matching=False)
     batches = Batches([wire])
-    batches.add(samples(0, 10), np.zeros(10))
+    batches.add(samples(0, 10).tobytes(), bytes(10))
     batches.flush(time.monotonic() + 1.0)
     assert not wire.sent
     wire.matching = True
     batches.flush(time.monotonic() + 2.0)
-    batches.add(samples(10, 10), np.zeros(10))
+    batches.add(samples(10, 10).tobytes(), bytes(10))
     batches.close()
     assert np.concatenate(wire.sent)["seq"].tolist() == list(range(10, 20))
 
@@ -74,7 +74,7 @@ def test_a_fast_log_goes_out_in_pieces_of_bounded_size():
     batches = Batches([wire])
     batches.watched()
     for k in range(100):
-        batches.add(samples(1000 * k, 1000), np.zeros(1000))
+        batches.add(samples(1000 * k, 1000).tobytes(), bytes(1000))
     batches.close()
     assert np.concatenate(wire.sent)["seq"].tolist() == list(range(100_000))
     assert max(batch.nbytes for batch in wire.sent) < LARGEST + 1000 * CORRECTED.itemsize

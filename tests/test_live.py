@@ -49,15 +49,19 @@ def put(queue, count, first=0):
     return queue.put(samples(count, first), np.full(count, 3, np.uint8), 100, 200)
 
 
+def take(queue, timeout_s=0.0):
+    content, channel = queue.take(timeout_s)
+    taken = np.frombuffer(content, CORRECTED)
+    assert channel == bytes([3]) * len(taken)
+    return taken
+
+
 def test_queue_gives_what_was_put_in_order(queue):
     seen = []
     for first in range(0, 40, 4):
         assert put(queue, 4, first)
-        while len(batch := queue.take(0.0)):
-            if not len(batch.corrected):
-                break
-            assert batch.channel.tolist() == [3] * len(batch.corrected)
-            seen += batch.corrected["seq"].tolist()
+        while len(taken := take(queue)):
+            seen += taken["seq"].tolist()
             queue.passed()
     assert seen == list(range(40))
 
@@ -66,9 +70,9 @@ def test_queue_gives_the_next_before_the_last_is_done_with(queue):
     seen, undone = [], 0
     for first in range(0, 40, 4):
         assert put(queue, 4, first)
-        while len((batch := queue.take(0.0)).corrected):
-            seen += batch.corrected["seq"].tolist()
-            undone += len(batch.corrected)
+        while len(taken := take(queue)):
+            seen += taken["seq"].tolist()
+            undone += len(taken)
         if undone > 4:
             assert len(queue.passed()) == undone
             undone = 0
@@ -91,8 +95,7 @@ def test_queue_knows_when_each_sample_passed(queue):
         before = clock.now_ns()
         put(queue, 3, first)
         put(queue, 3, first + 3)
-        seen = [batch for _ in range(4) if len((batch := queue.take(0.0)).corrected)]
-        published = np.concatenate([batch.corrected["t_pub_ns"] for batch in seen])
+        published = np.concatenate([take(queue)["t_pub_ns"] for _ in range(4)])
         rows = queue.passed()
         assert rows[:, FRAME].tolist() == [first + k for k in range(3)] + [first + 3 + k for k in range(3)]
         assert set(rows[:, TAKEN]) == {100}
@@ -109,20 +112,20 @@ def test_queue_waits_for_what_comes_and_no_longer(queue):
     assert queue.take(0.05) is NOTHING
     assert time.monotonic() - start >= 0.045
     threading.Timer(0.05, put, (queue, 1)).start()
-    assert len(queue.take(30.0).corrected) == 1
+    assert len(take(queue, 30.0)) == 1
 
 
 def test_queue_gives_all_before_its_end(queue):
     put(queue, 3)
     queue.end()
-    assert len(queue.take(1.0).corrected) == 3
+    assert len(take(queue, 1.0)) == 3
     assert queue.take(1.0) is None
 
 
 def drain(ring):
     parts = []
-    while (batch := ring.take(0.0)) is not None and len(batch.corrected):
-        parts.append(batch.corrected.copy())
+    while (batch := ring.take(0.0)) is not None and batch[1]:
+        parts.append(np.frombuffer(bytearray(batch[0]), CORRECTED))
         ring.passed()
     return np.concatenate(parts) if parts else np.zeros(0, CORRECTED)
 
