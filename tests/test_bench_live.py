@@ -9,7 +9,7 @@ from rtcomp.fog_format import TEMPERATURE_ID
 from rtcomp.pipeline import Pipeline
 from rtcomp.plan import compile_map
 from rtcomp.signal_map import load_map
-from tools.bench_live import c_model, figures, medians, ratios, shifted
+from tools.bench_live import c_model, figures, measure, medians, ratios, shifted
 from tools.bench_live_programs import RATES
 from tools.bench_live_traffic import LOADS, Load, Sent, make_frames, numbers, rates
 
@@ -91,3 +91,12 @@ def test_the_floor_has_the_same_model():
     filled, ours = c_model(), model()
     assert list(filled.centers) == np.ravel(ours.rules.centers).tolist()
     assert list(filled.rest)[-1] == ours.residual_std_dps
+
+
+@pytest.mark.slow
+def test_both_programs_run_over_a_datagram_socket_and_lose_nothing():
+    results = measure([Load(100)], ["bare", "ours"], seconds=1.0, rounds=1, datagrams=True)
+    for result in results["rates"]["100"].values():
+        assert result["sent"] == 100
+        assert result["lost"] == 0
+        assert 0.0 < result["latency_us"]["p50"] <= result["latency_us"]["p99"]

@@ -56,6 +56,19 @@ def timed(work: Callable[[], None], until_told: Callable[[], None], stop: Callab
     return {"cpu_s": spent[0], "process_cpu_s": time.process_time() - before}
 
 
+def listening(bus: str) -> socket.socket:
+    """A socket that gets the bus's frames: of a CAN interface, or bound to a path (see Traffic)."""
+    if bus.startswith("/"):
+        Path(bus).unlink(missing_ok=True)
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        sock.bind(bus)
+        return sock
+    sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+    sock.bind((bus.partition(":")[2],))
+    return sock
+
+
 def bare(session: Any, bus: str) -> None:
     """Forward the payload of one id."""
     publisher = session.declare_publisher("bench/bare/yaw/rate", express=True)
@@ -63,9 +76,7 @@ def bare(session: Any, bus: str) -> None:
     def run(request: Run, until_told: Callable[[], None]) -> Run:
         frames, over = 0, False
         wanted = request["rate_id"]
-        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sock:
-            sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-            sock.bind((bus.partition(":")[2],))
+        with listening(bus) as sock:
             sock.settimeout(POLL_S)
 
             def work() -> None:
@@ -150,23 +161,47 @@ def peer(session: Any, bus: str) -> None:
     serve(run)
 
 
+def runner_on(bus: str) -> Any:
+    """What makes a run on this bus; on a path it differs in where the socket comes from and in nothing else."""
+    from rtcomp.run import Runner, warm_up, warm_up_live
+    from rtcomp.sources.socketcan import SocketReceiver, configure_socket
+
+    if not bus.startswith("/"):
+        return Runner
+
+    class OnPath(Runner):
+        """A run that takes its frames from a datagram socket."""
+
+        def _warm_up(self) -> None:
+            warm_up(self.map)
+            warm_up_live(self.map)
+
+        def _open_source(self) -> None:
+            sock = self._resources.enter_context(listening(bus))
+            configure_socket(sock)
+            self._source = SocketReceiver(sock, self.clock)
+            self._resources.callback(self._source.close)
+
+    return OnPath
+
+
 def ours(session: Any, bus: str) -> None:
     """`rtcomp run`, in this process."""
     from rtcomp.config import RunConfig
     from rtcomp.model import save_model
-    from rtcomp.run import Runner
     from tools.bench_live_traffic import model
 
     folder = tempfile.mkdtemp(prefix="rtcomp-bench-")
     path = Path(folder) / "model.json"
     save_model(model(), path)
+    make, name = runner_on(bus), "socketcan:path" if bus.startswith("/") else bus
 
     def run(request: Run, until_told: Callable[[], None]) -> Run:
         config = RunConfig(
-            bus=f"{bus}?fd=true" if request["fd"] else bus, map=request["map"], model=[str(path)],
+            bus=f"{name}?fd=true" if request["fd"] else name, map=request["map"], model=[str(path)],
             prefix="bench/ours", realtime=request.get("realtime", False), power_on="unknown",
         )  # fmt: skip
-        runner = Runner(config)
+        runner = make(config)
         runner.start(session)
         figures = timed(runner.loop, until_told, runner.stop)
         runner.close()

@@ -3,6 +3,7 @@
 Every rate frame bears its number in its rate, so that whoever receives it anywhere can be held against what was sent.
 """
 
+import socket
 import threading
 from typing import Any, NamedTuple
 
@@ -106,16 +107,22 @@ class Sent(NamedTuple):
 
 
 class Traffic:
-    """Sends loads on a bus with their timing, from compiled code."""
+    """Sends loads on a bus with their timing, from compiled code.
+
+    A bus that begins with a slash is the path of a datagram socket, which carries frames as a CAN interface does.
+    """
 
     def __init__(self, bus: str) -> None:
-        self._bus = open_can(f"{bus}?fd=true")
-        self._sender = sender_for(self._bus)
+        self._bus = None if bus.startswith("/") else open_can(f"{bus}?fd=true")
+        self._path, self._socket = bus, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._sender = sender_for(self._bus or self._socket)
 
     def send(self, frames: np.ndarray, rate_id: int) -> Sent:
         """All frames at their times; returns when the last is out."""
         import time
 
+        if self._bus is None:
+            self._socket.connect(self._path)  # whoever listens now
         start = time.monotonic_ns() + LEAD_NS
         sent_at = self._sender.send(frames, start + frames["t_ns"], threading.Event())
         seconds = (time.monotonic_ns() - start) / SECOND
@@ -123,7 +130,9 @@ class Traffic:
 
     def close(self) -> None:
         """Give the bus back."""
-        self._bus.shutdown()
+        if self._bus is not None:
+            self._bus.shutdown()
+        self._socket.close()
 
 
 def options_of(load: Load) -> dict[str, Any]:
