@@ -139,9 +139,6 @@ def command(
         names = " | ".join(finding.alternatives)
         p_value = probability(finding.p_value)
         click.echo(f"  {finding.status:9s} {names}: {finding.rms_dps:.3g} °/s rms, p {p_value}")
-    fit, where = found.fit, "held-out recordings" if found.fit.heldout else "held-out blocks"
-    if fit.rms_before_dps > 0.0:
-        click.echo(f"error {fit.rms_before_dps:.4g} -> {fit.rms_after_dps:.4g} °/s rms on {where}")
     click.echo(f"report: {out / 'report.html'}")
 
 

@@ -44,6 +44,10 @@ STRICTER = {  # noise that is not what it is taken for (a random walk, telegraph
     "bias_hysteresis": 1e-4,
     "shupe": 1e-4,
 }
+FURTHER_ALPHA = (
+    1e-3  # beside a name that is sure, where nothing was sought in mere noise; the strictest stay so
+)
+STRICT = 1e-4
 ADDITIVE = {"chirp_per_K": 0.01, "phase_K": 5.0}  # moved by steps of this size instead of by ratio
 
 
@@ -181,13 +185,19 @@ def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[lis
     return [*parts, Part(candidate.variant.group, [candidate.variant.parameters], p_value)], len(parts)
 
 
+def enough(effect: str, beside: bool) -> float:
+    """The family-wise p-value that a name needs, alone or beside another."""
+    alpha = STRICTER.get(effect, ALPHA)
+    return max(alpha, FURTHER_ALPHA) if beside and alpha >= STRICT else alpha
+
+
 def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candidate | None:
     """The step to take: a new effect where it is significant, unless a richer shape of a chosen one does as well."""
     room = {p.effect: len(p.points) <= (0 if p.effect in ONE_SHAPE else MAX_SHAPES) for p in parts}
     points = {p.effect: p.points for p in parts}
     shapes = [c for e, c in found.items() if room.get(e, False) and _differs(c.variant.parameters, points[e])]
     fresh = (
-        [c for e, c in found.items() if e not in room and null.p_value(c.excess) <= STRICTER.get(e, ALPHA)]
+        [c for e, c in found.items() if e not in room and null.p_value(c.excess) <= enough(e, bool(parts))]
         if len(parts) < MAX_EFFECTS
         else []
     )
@@ -284,7 +294,7 @@ def swapped(library: Library, domains: Sequence[Domain], null: Null, model: Mode
         rest = [p for j, p in enumerate(model.parts) if j != i]
         without = build(rest, domains, model.fit.weights)
         if 2.0 * (model.fit.loglik - without.fit.loglik) - null.mean[model.parts[i].effect] < null.excess_at(
-            STRICTER.get(model.parts[i].effect, ALPHA)
+            enough(model.parts[i].effect, bool(rest))
         ):
             model = without
             continue

@@ -34,6 +34,8 @@ def conclude(analysis: Analysis) -> Diagnosis:
         else _no_fit()
     )
     fit.placebo_improvement = analysis.placebo
+    if findings and findings[0].effect not in BAD:
+        sentence = f"{sentence.rstrip('.')}{proved(fit)}."
     visible = {}
     if analysis.library is not None and analysis.model is not None and analysis.null is not None:
         visible = visible_from(analysis.library, analysis.domains, analysis.model, analysis.null)
@@ -51,6 +53,31 @@ def conclude(analysis: Analysis) -> Diagnosis:
         recordings=_notes(analysis),
         seed=analysis.settings.seed,
     )
+
+
+def proved(fit: FitResult) -> str:
+    """What data not used for the fit say of it, to end the sentence with; nothing where the model predicts nothing.
+
+    White noise of single rows hides a small effect, so where they do not decide their means over blocks are asked.
+    """
+    where = "the held-out recordings" if fit.heldout else "held-out blocks"
+    rows = (fit.rms_before_dps, fit.rms_after_dps, *fit.ci95)
+    slow = (
+        tuple(fit.slow[k] for k in ("rms_before_dps", "rms_after_dps", "ci95_low", "ci95_high"))
+        if fit.slow
+        else rows
+    )
+    if fit.rms_before_dps == fit.rms_after_dps and slow[0] == slow[1]:
+        return ""
+    decides = next((r for r in (rows, slow) if r[2] > 0.0 or r[3] < 0.0), slow)
+    before, after, low, high = decides
+    of = "the misfit" if decides is rows else "the misfit in means over blocks"
+    change = f"{of} of {where} goes from {before:.3g} to {after:.3g} °/s"
+    if low > 0.0:
+        return f"; with it {change}"
+    if high < 0.0:
+        return f"; but it does not hold: {change}"
+    return f"; but that is not proved: {change}, which may be chance"
 
 
 def _located(analysis: Analysis, early: list[Finding]) -> list[Located]:
