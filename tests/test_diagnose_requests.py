@@ -13,7 +13,7 @@ from diagnose_cases import lag_effect, recording
 from rtcomp.cli import main
 from rtcomp.errors import RequestError
 from training.diagnose.folder import staged
-from training.diagnose.request import one_sensor
+from training.diagnose.request import differences, one_sensor
 from training.diagnose.settings import Settings
 from training.table import Recording, write_recording
 
@@ -362,3 +362,18 @@ def test_drivers_with_gaps_or_in_some_recordings_only(tmp_path):
     result = call(a, "--heldout", b, out=tmp_path / "o")
     assert result.exit_code == 0, result.output
     assert "vibration_rectification" not in json.loads(result.stdout)["visible_from"]
+
+
+def test_scale_factors_are_not_compared_where_one_turned_this_way_only_and_the_other_that():
+    random = np.random.default_rng(5)
+
+    def turned(top_dps, error_ppm):
+        rate = np.where(np.arange(2000) % 40 < 20, 0.0, top_dps) + random.normal(0.0, 0.02, 2000)
+        temp = np.linspace(20.0, 30.0, 2000)
+        return error_ppm * 1e-6 * rate + random.normal(0.0, 0.01, 2000), rate, temp
+
+    offset, scale = differences(turned(100.0, 0.0), turned(-100.0, 0.0))
+    assert abs(offset) < 0.01
+    assert scale == 0.0
+    _, scale = differences(turned(100.0, 0.0), turned(100.0, 3000.0))
+    assert scale == pytest.approx(3000.0, rel=0.1)

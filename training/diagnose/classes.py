@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from training.diagnose.design import Domain, Library
+from training.diagnose.families import family, too_weak
 from training.diagnose.library import Group
 from training.diagnose.naming import (
     CLASS_COST,
     CLASS_SHARE,
-    LEAST_SHARE,
-    MOST_CHI2,
     MOST_SHARE,
     SHAPE_ALPHA,
     Model,
@@ -27,26 +26,9 @@ PREFER = 2.0
 SWAPS = 3
 TABLE = "compensation_table"
 PHASES = 12
-KINDS = {
-    ("bias", "static"): ("bias_temperature", "polarization_ripple", "compensation_table"),
-    ("bias", "dynamic"): ("shupe", "bias_hysteresis"),
-    ("bias", "time"): ("bias_drift", "bias_warmup", "bias_step", "auto_zero"),
-    ("scale", "static"): ("scale_temperature",),
-    ("scale", "dynamic"): ("thermal_lag", "scale_hysteresis", "scale_temperature_rate"),
-    ("scale", "time"): ("source_ageing", "scale_warmup", "scale_step"),
-    ("scale", "rate"): ("scale_nonlinearity", "saturation", "scale_asymmetry", "dead_band"),
-    ("bias", "turn"): ("magnetic",),
-    ("scale", "turn"): ("table_eccentricity",),
-}
-FAMILY = {effect: family for family, effects in KINDS.items() for effect in effects}
 STATIC_OF = {"bias_hysteresis": "bias_temperature", "scale_hysteresis": "scale_temperature"}
 SLOPE_CHI2, SLOPE_SHARE = 50.0, 0.05
 LAGGING = frozenset({"thermal_lag", "scale_temperature_rate"})
-
-
-def family(effect: str) -> tuple[str, str]:
-    """(what it acts on, how it goes): effects alike in both mistake each other's shape errors for a second effect."""
-    return FAMILY.get(effect, (effect, effect))
 
 
 def apart(library: Library, domains: Sequence[Domain], null: Null, model: Model) -> Model:
@@ -86,8 +68,9 @@ def demoted(model: Model, domains: Sequence[Domain], trained: bool = False) -> t
     while len(model.parts) > 1:
         strengths = partial_chi2(model)
         strongest = max(range(len(strengths)), key=strengths.__getitem__)
+        effects = [p.effect for p in model.parts]
         weak = [
-            i for i in range(len(strengths)) if i != strongest and _too_weak(model, strengths, i, trained)
+            i for i in range(len(strengths)) if i != strongest and too_weak(effects, strengths, i, trained)
         ]
         if not weak:
             break
@@ -95,17 +78,6 @@ def demoted(model: Model, domains: Sequence[Domain], trained: bool = False) -> t
         dropped.append(model.parts[worst].effect)
         model = build([p for i, p in enumerate(model.parts) if i != worst], domains, model.fit.weights)
     return model, dropped
-
-
-def _too_weak(model: Model, strengths: list[float], i: int, trained: bool) -> bool:
-    mine = family(model.parts[i].effect)
-    for j, other in enumerate(model.parts):
-        theirs = family(other.effect)
-        alike = sum(a == b for a, b in zip(mine, theirs, strict=True)) if theirs[0] == mine[0] else 0
-        most = float("inf") if trained and alike else MOST_CHI2[alike]
-        if j != i and strengths[i] < min(LEAST_SHARE[alike] * strengths[j], most):
-            return True
-    return False
 
 
 def with_classes(

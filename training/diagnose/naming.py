@@ -19,16 +19,6 @@ MAX_SHAPES = 2
 CLASS_COST = 10.0
 CLASS_SHARE = 0.012  # a group's shape is that much unlike the true one, so a rival may cost that share more
 MOST_SHARE = 40.0
-LEAST_SHARE = (
-    0.001,
-    0.009,
-    0.05,
-)  # of a stronger effect's χ², below which a weak one is taken for its shape error:
-MOST_CHI2 = (
-    100.0,
-    400.0,
-    np.inf,
-)  # acting on something else; on the same (bias, scale factor); and going alike too
 STRONGER = 10.0
 GIANT = 2000.0
 ONE_SHAPE = frozenset({"dead_band"})
@@ -188,7 +178,7 @@ def _added(parts: list[Part], candidate: Candidate, p_value: float) -> tuple[lis
 def enough(effect: str, beside: bool) -> float:
     """The family-wise p-value that a name needs, alone or beside another."""
     alpha = STRICTER.get(effect, ALPHA)
-    return max(alpha, FURTHER_ALPHA) if beside and alpha >= STRICT else alpha
+    return max(alpha, ALPHA) if beside and alpha >= STRICT else alpha
 
 
 def _next(found: dict[str, Candidate], parts: list[Part], null: Null) -> Candidate | None:

@@ -18,6 +18,7 @@ WINDOW, PLACES = 48, 9  # rows compared at a time, and at how many places of a h
 VARIED = 12  # different values among them, below which equal rows can be a coincidence of coarse codes
 SHARED = 0.5  # of soaked points without time
 SHARED_POWERS = (1, 3, 5, 7, 9)  # of the rate, which all recordings of a sensor share
+LEAST_OWN = 0.01  # share of a column that the others must not explain
 COMMON_K, COMMON_ROWS = 3.0, 200  # range of temperature and rows that two recordings must have in common
 ENOUGH_ROWS = 50_000  # of a recording, to tell its offset and scale factor
 TOLERANCES = 2.0  # of one sensor, each within its tolerance, two recordings differ by no more than this
@@ -145,7 +146,7 @@ def one_sensor(recordings: Sequence[Recording], settings: Settings) -> None:
             second = parts[k]
             if first is None or second is None:
                 continue
-            found = _differences(first, second)
+            found = differences(first, second)
             if found is None:
                 continue
             offset, scale = found
@@ -173,12 +174,13 @@ def _rows(recording: Recording, static: bool) -> tuple[FloatArray, FloatArray, F
     return (c["rate_dps"] - simulated)[valid], c["ref_rate_dps"][valid], temp[valid]
 
 
-def _differences(
+def differences(
     first: tuple[FloatArray, FloatArray, FloatArray], second: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[float, float] | None:
     """(offset [°/s], scale [ppm]) of the second less the first over their common temperatures and rates.
 
-    Beside functions of both that the two share: a bent one is another line where the rates are others.
+    Beside functions of both that the two share: a bent one is another line where the rates are others.  A scale factor
+    of which those functions leave nothing of its own (one turned this way only, the other that) is not compared.
     """
     low, high = max(first[2].min(), second[2].min()), min(first[2].max(), second[2].max())
     if high < low:
@@ -197,5 +199,9 @@ def _differences(
     error, x, h = (np.concatenate([part[i] for part in parts]) for i in range(3))
     x, mine = x / top, np.repeat([0.0, 1.0], [len(part[0]) for part in parts])
     shared = [np.ones(len(x)), np.abs(x), *(x**n for n in SHARED_POWERS), h, h * x, h * x**3]
-    solution = np.linalg.lstsq(np.stack([mine, mine * x, *shared], axis=1), error, rcond=None)[0]
-    return float(solution[0]), float(1e6 * solution[1] / top)
+    others, column = np.stack([mine, *shared], axis=1), mine * x
+    own = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+    if own @ own < LEAST_OWN * (column @ column):
+        return float(np.linalg.lstsq(others, error, rcond=None)[0][0]), 0.0
+    solution = np.linalg.lstsq(np.column_stack([others, column]), error, rcond=None)[0]
+    return float(solution[0]), float(1e6 * solution[-1] / top)
