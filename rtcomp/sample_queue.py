@@ -104,7 +104,7 @@ class BatchQueue:
 
     def __init__(self, clock: SteadyClock | None = None) -> None:
         self.lost = 0  # it drops nothing by itself
-        self._queue: SimpleQueue[tuple[bytearray, bytes, np.ndarray] | None] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[np.ndarray, bytes, np.ndarray] | None] = SimpleQueue()
         self._takings = _Takings(clock or SteadyClock())
         self._put = self._done = 0
         self._taken: list[np.ndarray] = []
@@ -120,7 +120,7 @@ class BatchQueue:
         passages = np.empty((count, 5), np.int64)
         passages[:, latency.FRAME] = corrected["t_ns"]
         passages[:, latency.TAKEN], passages[:, latency.DONE] = t_received_ns, t_corrected_ns
-        self._queue.put((bytearray(corrected.tobytes()), channel.tobytes(), passages))
+        self._queue.put((corrected.copy(), channel.tobytes(), passages))
         return True
 
     def end(self) -> None:
@@ -136,12 +136,10 @@ class BatchQueue:
             return NOTHING
         if came is None:
             return None
-        content, channel, passages = came
+        corrected, channel, passages = came
         self._taken.append(passages)
-        now_ns = self._takings.taken(len(channel))
-        for start in range(T_PUB, len(content), SIZE):
-            _put_time(content, start, now_ns)
-        return bytes(content), channel
+        corrected["t_pub_ns"] = self._takings.taken(len(channel))
+        return corrected.tobytes(), channel
 
     def passed(self) -> np.ndarray:
         """See `SampleQueue`."""

@@ -36,5 +36,15 @@ def test_the_sentence_ends_with_what_the_proof_says(result, words):
     assert proved(result).startswith(words)
 
 
+def test_what_a_control_does_as_well_is_not_proved():
+    result = fit(0.166, 0.119, 0.25, 0.31)
+    result.placebo_improvement = 0.31
+    assert proved(result).startswith(
+        "; but that is not proved: the misfit of the held-out recordings goes from"
+    )
+    result.placebo_improvement = 0.13
+    assert proved(result).startswith("; with it")
+
+
 def test_nothing_is_said_of_a_proof_where_nothing_was_predicted():
     assert proved(fit(0.1, 0.1, 0.0, 0.0, (0.01, 0.01, 0.0, 0.0))) == ""
