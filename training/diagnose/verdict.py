@@ -73,8 +73,8 @@ def proved(fit: FitResult) -> str:
     before, after, low, high = decides
     of = "the misfit" if decides is rows else "the misfit in means over blocks"
     change = f"{of} of {where} goes from {before:.3g} to {after:.3g} °/s"
-    control = fit.placebo_improvement
-    if low > 0.0 and control is not None and control >= 1.0 - after / before:
+    control = fit.placebo_improvement  # of means over blocks
+    if low > 0.0 and control is not None and control >= 1.0 - slow[1] / slow[0]:
         return f"; but that is not proved: {change}, and the same on a wrong time axis does as much"
     if low > 0.0:
         return f"; with it {change}"
