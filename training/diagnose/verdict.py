@@ -74,7 +74,7 @@ def proved(fit: FitResult) -> str:
     of = "the misfit" if decides is rows else "the misfit in means over blocks"
     change = f"{of} of {where} goes from {before:.3g} to {after:.3g} °/s"
     control = fit.placebo_improvement  # of means over blocks
-    if low > 0.0 and control is not None and control >= 1.0 - slow[1] / slow[0]:
+    if low > 0.0 and control is not None and control >= 1.0 - slow[1] / max(slow[0], 1e-300):
         return f"; but that is not proved: {change}, and the same on a wrong time axis does as much"
     if low > 0.0:
         return f"; with it {change}"
