@@ -4,6 +4,7 @@ from diagnose_cases import lag_effect, lagged, profile, recording
 from scipy.interpolate import CubicSpline
 
 from rtcomp.errors import RequestError
+from training.diagnose.classes import walked_back
 from training.diagnose.pipeline import analyse
 from training.diagnose.settings import Settings
 from training.diagnose.simulation import Simulation
@@ -134,3 +135,31 @@ def test_static_recordings_need_no_reference():
 
 def test_the_same_input_gives_the_same_document():
     assert diagnose(recording(22, lag_effect)) == diagnose(recording(22, lag_effect))
+
+
+def played(temp, half_width_K):
+    """The play operator, slow and obvious."""
+    out = np.empty_like(temp)
+    state = temp[0]
+    for i, now in enumerate(temp):
+        state = min(max(state, now - half_width_K), now + half_width_K)
+        out[i] = state
+    return out
+
+
+def test_a_loop_walked_on_one_side_only_is_not_told_from_a_bent_line():
+    def loop(t, rate, temp):
+        return 0.01 * (played(temp, 4.0) - temp)
+
+    [both] = diagnose(recording(61, loop, static=True)).findings
+    assert both.alternatives == ["bias_hysteresis"]
+    t, rate, temp = profile(static=True)
+    rising = 20.0 + 35.0 * t / t[-1]
+    error = recording(62, static=True)["rate_dps"]
+    columns = {"t_s": t, "temp_degC": rising, "ref_rate_dps": rate}
+    once = Recording("rising", {**columns, "rate_dps": rate + error + loop(t, rate, rising)})
+    found = [set(f.alternatives) for f in diagnose(once).findings]
+    assert found
+    assert all("bias_temperature" in names for names in found if "bias_hysteresis" in names)
+    assert walked_back([rising, temp], 4.0)
+    assert not walked_back([rising], 4.0)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from training.diagnose.design import Domain, Library
 from training.diagnose.families import family, too_weak
 from training.diagnose.library import Group
@@ -21,6 +23,7 @@ from training.diagnose.naming import (
     score,
 )
 from training.diagnose.search import STATIC_PRICE, Candidate, Null
+from training.diagnose.work import FloatArray
 
 PREFER = 2.0
 SWAPS = 3
@@ -120,7 +123,7 @@ def with_classes(
         if table is not None and reference - score(table) < allowed:
             close[TABLE], models[TABLE] = reference - score(table), table
         if not _bent(part, rest, domains, reference - allowed, model):
-            close |= dict.fromkeys(_twins(part, library) - taken - set(close), CLASS_COST)
+            close |= dict.fromkeys(_twins(part, library, domains) - taken - set(close), CLASS_COST)
         parts.append(replace(part, chi2=strengths[i], alternatives=close))
         rivals += [(i, rival) for rival in models.values()]
     return Model(parts, model.frame, model.fit), rivals
@@ -142,15 +145,26 @@ def _bent(part: Part, rest: Sequence[Part], domains: Sequence[Domain], least: fl
     return score(build(parts, domains, weights)) < least
 
 
-def _twins(part: Part, library: Library) -> set[str]:
+def _twins(part: Part, library: Library, domains: Sequence[Domain]) -> set[str]:
     """Effects that no recording of this kind tells from the part, whatever the fit says.
 
     A coil that lags and a scale factor that follows its gradient relax alike; only a sensor at the coil parts them
-    (PHYSICS.md B4).
+    (PHYSICS.md B4).  A loop of which one side alone was walked is a bent function of temperature like any other.
     """
+    if part.effect in STATIC_OF and not walked_back(
+        [d.work.slow_temp for d in domains], min(point["play_K"] for point in part.points)
+    ):
+        return {group.effect for group in library.groups if group.effect == STATIC_OF[part.effect]}
     if part.effect not in LAGGING or "coil_tau_s" in part.points[0]:
         return set()
     return {group.effect for group in library.groups if group.effect in LAGGING} - {part.effect}
+
+
+def walked_back(temps: Sequence[FloatArray], play_K: float) -> bool:
+    """Whether one of these courses of temperature [degC], each `(n,)`, turns by more than a play [K]."""
+    ups = [np.max(np.maximum.accumulate(temp) - temp) for temp in temps]
+    downs = [np.max(temp - np.minimum.accumulate(temp)) for temp in temps]
+    return any(min(up, down) > play_K for up, down in zip(ups, downs, strict=True))
 
 
 def _table(domains: Sequence[Domain], without: Model, part: Part, library: Library) -> Model | None:
