@@ -61,7 +61,7 @@ class Publisher:
         self.queue: SampleQueue = queue or BatchQueue(clock)
         self._lost = self._unsettled = 0
         control = zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP
-        self._rates = rates = [
+        self._rates = [
             session.declare_publisher(
                 (aliases or {}).get(name, self.key(name, "rate")),
                 encoding=zenoh.Encoding(mime),
@@ -70,7 +70,7 @@ class Publisher:
             )
             for name in names
         ]
-        self._puts = [rate.put for rate in rates]
+        self._puts = [rate.put for rate in self._rates]
         self._batches = Batches(
             [
                 session.declare_publisher(
